@@ -53,7 +53,7 @@ def manifold(
     Args:
         logs: one or more pressure logs (.txt) in the format of the published firmware.
         out: folder for the results; created if missing. Files of the same name are replaced.
-        plot: do not draw the pictures (PNG).
+        plot: draw the pictures (PNG); --no-plot omits them.
     """
     refuse_same_names(logs)
     records = sorted((read_log(path) for path in logs), key=lambda log: log.frequency)

@@ -24,7 +24,7 @@ def statics(
     Args:
         bench: bench file (.toml). Its tables (.csv) must be in the same folder.
         out: folder for the results; created if missing. Files of the same name are replaced.
-        plot: do not draw the pictures (PNG).
+        plot: draw the pictures (PNG); --no-plot omits them.
     """
     import equinox as eqx
 

@@ -44,13 +44,13 @@ class LoopOutcome:
     held_out: dict[str, dict[str, float]]
     """`channel_errors` of the held-out trials; empty if there are none."""
     excess: dict[str, Excess]
-    """Excess of the chosen model's residual in the trials that were used to select effects."""
+    """Excess of the chosen model's residual in the trials used to select effects (noise: 1)."""
     held: list[int]
     """Held-out trials, as indices of `problem.records`."""
     audit: list[Finding] = field(default_factory=list)
     """Faults of the data and the actions taken."""
     nearest: Fit | None = None
-    """The model with effects that were selected but not named, fitted to all trials."""
+    """The model with the selected effects, if the verdict does not name them."""
 
     @property
     def effects(self) -> list[str]:

@@ -21,7 +21,7 @@ class SelectionSettings:
     false_alarm_p: float = 1e-3
     """A candidate can be refitted only if its corrected p-value, `Score.p`, is below this."""
     short_list: int = 5
-    """Largest number of candidates with tangents, and with secants, that one round refits."""
+    """One round refits at most this many candidates scored by tangent, and as many by secant."""
     min_score_share: float = 0.5
     """A candidate can be refitted only if its score exceeds this fraction of the best score."""
     min_score_share_far: float = 0.2
@@ -32,16 +32,16 @@ class SelectionSettings:
     fraction of the channel's discrepancy. It is below 1 because the step neglects nonlinearity."""
     visible_share: float = 1e-3
     """Cross-validation of a candidate uses a trial if the candidate's squared change of the trial
-    is at least this fraction of the largest squared change in any trial, or `visible_gain`."""
+    reaches this fraction of the largest squared change in any trial, or reaches `visible_gain`."""
     visible_gain: float = 4.0
     """Squared change, divided by the residual's mean square, with which a trial is always used."""
 
     min_gain: float = 20.0
     """A refitted candidate can be named only if its gain exceeds this value."""
     left_out_t: float = 2.0
-    """Threshold on the t-statistic of the cross-validated log gain, in addition to the significance
-    test. Without that test, this threshold accepts 6 % of null candidates with five trials and 9 %
-    with three. The logarithm prevents that one outlying trial dominates the mean gain."""
+    """A candidate's cross-validated log gain must have a t-statistic above this value. Without the
+    other tests, this threshold accepts 6 % of absent effects with five trials and 9 % with
+    three. The logarithm prevents that one outlying trial dominates the mean gain."""
     wilcoxon_p: float = 0.07
     """Cross-validation also confirms a candidate if the p-value of Wilcoxon's signed-rank test is
     below this. A candidate that improves all of four trials passes, also with unequal gains."""
@@ -53,10 +53,10 @@ class SelectionSettings:
     max_swaps: int = 2
     """Largest number of times that an alternative replaces a chosen effect."""
     max_halvings: int = 4
-    """Largest number of step sizes that are tried; each halves a step that cannot be simulated."""
+    """A step that cannot be simulated is halved and tried again, at most this many times."""
     initial_step_share: float = 0.02
-    """Distance of a refit's start from a parameter's null if the scored step is zero, as a fraction
-    of the prior range. If a bound is at the null, a fit that starts there could not move."""
+    """A refit starts at the scored step. If this step is zero, the refit starts at this distance
+    from the null, as a fraction of the prior range: at a bound, a fit could not move."""
     removal_loss_factor: float = 10.0
     """An effect is kept without a refit if the linear loss of its removal exceeds this multiple of
     `min_gain`."""

@@ -111,7 +111,7 @@ class TrialInformation:
 
     experiment: Experiment
     effects: tuple[str, ...]
-    """Effects of the extended model; programs are compiled for all of them."""
+    """Effects that the compiled model contains."""
     theta: np.ndarray
     chosen: np.ndarray
     """Indices (k,) of the parameters in theta along which the tangents are computed."""

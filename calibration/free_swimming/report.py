@@ -28,7 +28,7 @@ NEXT_SPEED_EXPERIMENT = (
 
 
 class CrossPrediction(NamedTuple):
-    """Swims without axial resistance, and predictions of one point's speed from the other point."""
+    """Simulations without axial resistance; predictions of each published speed from the other."""
 
     before: list[UnresistedSwim]
     forward: list[SpeedPrediction]

@@ -96,7 +96,7 @@ def _without_swing(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
-    """Writes the tip's swing at rest to an experiment file if the file declares less than half."""
+    """Writes the tip's swing to an experiment file if it is more than twice the declared swing."""
     swing = start_swing(records)
     declared = validate(ExperimentTable, read_toml(path), str(path)).sensors.start_swing
     if swing <= max(2.0 * declared, LEAST_SWING):

@@ -20,7 +20,7 @@ INTERNAL_RATE = 7000.0
 ERROR, SATURATED, LATCHED = 1 << 31, 1 << 17, 1 << 16
 """Bits of the status: any error; saturated transducer; load above a threshold (not an error)."""
 STUCK = 0.1
-"""Shortest time of six constant counts that shows a stuck sensor [s]. Other sensors have noise."""
+"""The sensor is stuck if all six components stay constant for this time [s]; others show noise."""
 
 RECORD = struct.Struct(">III6i")
 _FIELDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
@@ -118,7 +118,7 @@ class Records:
     | `host_ns` | time of arrival on the host's monotonic clock [ns] |
     | `ft_seq`, `status` | the box's count of its own samples, and its status |
     | `counts` | (n, 6) Fx, Fy, Fz, Tx, Ty, Tz |
-    | `late`, `duplicates` | numbers of records that arrived late, and of repeated records |
+    | `late`, `duplicates` | how many records arrived late, and how many were repeated |
     """
 
     seq: np.ndarray
@@ -175,7 +175,9 @@ class Records:
         if len(self.missing):
             found.append(f"{len(self.missing)} of {len(self.seq)} records missing")
         if self.late or self.duplicates:
-            found.append(f"{self.late} late and {self.duplicates} repeated records were sorted")
+            found.append(
+                f"{self.late} late records were sorted in; {self.duplicates} repeats were dropped"
+            )
         if stuck := int(self.stuck.sum()):
             found.append(f"{stuck} records of a stuck sensor: constant for {STUCK:g} s or longer")
         for status in np.unique(self.status):

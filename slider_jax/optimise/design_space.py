@@ -46,7 +46,7 @@ frequency and pressure, and a tail that is as stiff as the body."""
 
 @dataclass(frozen=True)
 class GaitBounds:
-    """Bounds (6,) of the variables of `Gait` in SI units; they are 0 and 1 in the unit box."""
+    """Bounds (6,) of the variables of `Gait` in SI units; the unit box scales them to 0 and 1."""
 
     low: np.ndarray
     high: np.ndarray
@@ -82,7 +82,7 @@ def gait_bounds(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
 
 
 def models(experiment: Experiment) -> Callable[[Gait], Model]:
-    """Returns a function from a gait to the free robot of an experiment's first trial.
+    """Returns a function that gives the free swimmer of the first trial with another gait.
 
     The function is differentiable. Quantities that depend on the frequency follow the gait's
     frequency: drag and added mass (by ramp or table), and effects with a field `stride_frequency`.

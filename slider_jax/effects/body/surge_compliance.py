@@ -27,7 +27,7 @@ class SurgeCompliance(Mounting):
         "a soft sensor or strut has 1/c = 3 kN/m; a robot on a softer mounting bounces",
         3e-5,
     )
-    """c, the inverse of the mounting's stiffness [N/m]."""
+    """c, compliance of the mounting, the inverse of its stiffness."""
 
     def give(self, rates):
         zero = jnp.zeros_like(rates.T_t)
