@@ -57,13 +57,11 @@ def effects_matrix(
     from slider_jax.experiment.load import load
     from slider_jax.io.files import input_file, staged, write_json, write_text
 
-    excluded = ", ".join(name for name in LIBRARY if name not in candidate_effects())
+    candidates = candidate_effects()
+    excluded = ", ".join(name for name in LIBRARY if name not in candidates)
     for option, names in (("--effects", effects), ("--separate", separate)):
         refuse_unknown(
-            option,
-            names,
-            candidate_effects(),
-            f"the names that slider effects lists, except {excluded}",
+            option, names, candidates, f"the names that slider effects lists, except {excluded}"
         )
     if separate and len(set(separate)) < 2:
         raise InputError("--separate: given one effect; allowed two or more; add another effect")
