@@ -1,4 +1,4 @@
-"""Lists the subcommands. Functions are given as text: Python imports only the called function."""
+"""Lists the subcommands of `slider`. Python imports only the module of the called subcommand."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 
 
 class Subcommand(NamedTuple):
-    """A subcommand: its function as `module:function`, and its line of help.
+    """A subcommand: its function, written as `module:function`, and one line of help text.
 
-    tyro builds the options from the function's signature. The function may return an exit code.
+    The package tyro builds the options from the signature. The function may return an exit code.
     """
 
     target: str
     help: str
     alone: bool = False
-    """Whether the command, like `effects`, runs although its name begins other commands' names."""
+    """Whether the name is a command and also the first word of other commands (`effects`)."""
     jax: bool = True
     """Whether the command needs JAX, which may not be installed on the rig's computer."""
 
@@ -28,7 +28,7 @@ COMMANDS = {
         "slider_jax.cli.demo:demo", "simulates the paper's frequency sweep, without an input file"
     ),
     "sweep": Subcommand(
-        "slider_jax.cli.sweep:sweep", "simulates a trial for many values of one or two fields"
+        "slider_jax.cli.sweep:sweep", "simulates a trial for many values of one or two parameters"
     ),
     "swim": Subcommand(
         "slider_jax.cli.swim:swim", "simulates free swimming and computes the steady speed"
@@ -87,7 +87,7 @@ COMMANDS = {
         "rig.cli.log:rig_log", "records pressure logs with the published firmware", jax=False
     ),
     "rig replay": Subcommand(
-        "rig.cli.replay:rig_replay", "converts recordings to CSV, or plays one back", jax=False
+        "rig.cli.replay:rig_replay", "converts recordings to CSV, or plays them back", jax=False
     ),
     "rig watch": Subcommand(
         "rig.cli.watch:rig_watch",
@@ -108,7 +108,7 @@ SIMULATE_LOG = "calibration.cli.simulate_log:simulate_log"
 
 
 def function_of(target: str) -> Callable[..., Any]:
-    """Imports the module of a `module:function` and returns the function."""
+    """Imports the module of a `target`, written as `module:function`, and returns the function."""
     module, function = target.split(":")
     return getattr(import_module(module), function)
 

@@ -59,7 +59,7 @@ def list_effects(
         print(listing())
         return
     if name not in LIBRARY:
-        near = did_you_mean(name, (*LIBRARY, "matrix"))  # `effects matrix` is a command
+        near = did_you_mean(name, (*LIBRARY, "matrix"))  # `slider effects matrix` is a command
         raise InputError(f"NAME: given {name!r}; allowed are the names of `slider effects`{near}")
     if experiment is not None and out is None:
         raise InputError("--experiment: needs a folder for the figure; add --out DIR")
@@ -88,7 +88,7 @@ def listing() -> str:
 
 
 def explanation(name: str) -> str:
-    """Returns docstring and priors of an effect, and an example halfway to `typical_size`."""
+    """Returns an effect's docstring, its priors, and values halfway from null to prior bound."""
     from slider_jax.simulation.effect_signature import typical_size
 
     kind = LIBRARY[name]
@@ -123,7 +123,7 @@ def _range(prior: Prior) -> str:
 
 
 def _draw(name: str, out: Path, path: Path | None) -> list[str]:
-    """Writes the figure and returns the lines that describe it."""
+    """Writes the figure of an effect and returns text lines with the changes of the readings."""
     from slider_jax.channels import CHANNELS
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load

@@ -48,7 +48,7 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
     for name in COMMANDS:
         parts = name.split()
         rest = words[len(parts) :]
-        # After the name of a group, a word that is not a file is a mistyped subcommand.
+        # After `slider calibrate`, a word of letters that is not a file is a mistyped subcommand.
         mistyped = name in _GROUPS and rest and rest[0].isalpha() and not Path(rest[0]).exists()
         if words[: len(parts)] == parts and not mistyped:
             return name, rest
@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (InputError, SolverError, KeyboardInterrupt, rig_error()) as error:
         stopped = isinstance(error, KeyboardInterrupt)
         text = "interrupted" if stopped else f"error: {error}"
-        # The notes describe errors that occurred while the command was stopping.
+        # The exception's notes describe errors that occurred while the command was stopping.
         print("\n".join([f"slider: {text}", *getattr(error, "__notes__", ())]), file=sys.stderr)
         return 130 if stopped else 2
 

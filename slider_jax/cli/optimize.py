@@ -23,7 +23,7 @@ class SearchOptions:
         experiment: experiment file (.toml) with the properties of robot and water that are not
             optimised. The first trial must have a square wave (default: the paper's robot, with
             the head's form drag fitted to the measured speed).
-        model: TOML file. [robot], [parameters] replace keys of EXPERIMENT; [[effects]] are added.
+        model: TOML file. Its [robot] and [parameters] override EXPERIMENT; [[effects]] are added.
         population: number of individuals in a generation. In `multimodal`, an optimisation that
             starts from a known design uses a quarter of this number.
         generations: total number of generations, including generations before an interruption. In
@@ -78,7 +78,7 @@ class SearchOptions:
         return given_or(optimum, self.experiment, self.model)
 
     def inputs(self) -> list[dict[str, Any]]:
-        """Returns paths and digests of the input files."""
+        """Returns paths and checksums of the input files."""
         from slider_jax.io.files import input_files
 
         return input_files(self.experiment, self.model)
@@ -104,7 +104,7 @@ def _reporter() -> Callable[..., None]:
 
 @contextmanager
 def _resumable(out: Path) -> Iterator[None]:
-    """Prints how to resume if the block is interrupted after the first checkpoint."""
+    """Prints how to resume if the user interrupts the command after the first checkpoint."""
     try:
         yield
     except KeyboardInterrupt:

@@ -15,7 +15,7 @@ def _read_by(
 ) -> PrimitiveConstructorSpec:
     """Returns a tyro type for an argument of `count` words, shown as `metavar` in the help.
 
-    `read` converts a word, or raises `ValueError`. The error message then states what is `allowed`.
+    `read` converts a word. If `read` raises `ValueError`, the error message states `allowed`.
     """
 
     def instance(words: list[str]) -> Any:
@@ -35,7 +35,7 @@ def _read_by(
 
 
 _DEFAULT_IN_HELP = tyro.conf.arg(help_behavior_hint="")
-"""Suppresses tyro's "(default: None)" if the help text states the default."""
+"""Removes tyro's "(default: None)" from the help of an option whose text states the default."""
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 MaybeFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
 MaybeExperiment = Annotated[
@@ -69,7 +69,7 @@ Pictures = Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: pictures 
 
 
 def chosen_trials(trials: tuple, number: int | None) -> tuple:
-    """Returns all trials, or only the trial `number`. Raises `InputError` for a wrong one."""
+    """Returns all trials, or only trial `number`. Raises `InputError` for an invalid number."""
     if number is None:
         return trials
     if not 0 <= number < len(trials):

@@ -9,7 +9,7 @@ from typing import Any
 
 import tyro
 
-# This private module defines the events behind tyro's error boxes.
+# tyro reports errors in the arguments by events, which this private module of tyro defines.
 # tests/slider_jax/cli/test_parse.py fails if a new tyro version changes these events.
 from tyro import _errors as tyro_errors
 
@@ -23,15 +23,15 @@ def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Cal
     """
     _refuse_unknown_options(command, words)
 
-    # tyro builds the call but does not run it, so that only parsing errors reach `refuse`.
+    # tyro runs `call`, which does not run the command. Only parsing errors thus reach `refuse`.
     @wraps(command)
     def call(*arguments: Any, **options: Any) -> Callable[[], Any]:
         return partial(command, *arguments, **options)
 
-    # tyro keeps the line breaks of an argument's help text, so each text is joined to one line.
+    # tyro prints the line breaks of a help text. This substitution joins the lines of each text.
     call.__doc__ = re.sub(r"\n {8,}", " ", inspect.getdoc(command) or "")
     vars(call)["__signature__"] = inspect.signature(command)
-    del vars(call)["__wrapped__"]  # tyro would read the docstring of the wrapped function
+    del vars(call)["__wrapped__"]  # else tyro reads the original docstring
 
     def refuse(event: tyro_errors.ParseErrorEvent) -> None:
         raise InputError(f"{error_line(event)}; see slider {name} --help")
@@ -44,7 +44,7 @@ def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Cal
 def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) -> None:
     """Raises `InputError` for an unknown option.
 
-    tyro would use the next word as the value of this option and then report a missing file.
+    Without this check, tyro takes the next word as the option's value and reports a missing file.
     """
     allowed, parameters = ["--help"], list[inspect.Parameter]()
     for x in inspect.signature(function).parameters.values():

@@ -14,7 +14,7 @@ PAUSE = 10.0
 
 
 class Progress:
-    """Context manager that shows progress in a bar, erased at the end. All threads may report."""
+    """Context manager that shows a progress bar. Any thread may call `step` and `to`."""
 
     def __init__(self, name: str, unit: str, first: str = "compiling"):
         self._name, self._unit = name, unit
@@ -63,7 +63,7 @@ class Progress:
 
 
 def timed_printer() -> Callable[[str], None]:
-    """Returns a function that prints a text to stderr after the seconds since this call."""
+    """Returns a function that prints a text to stderr, preceded by the elapsed time in seconds."""
     start = time.monotonic()
 
     def print_timed(text: str) -> None:

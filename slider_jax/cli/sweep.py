@@ -1,4 +1,4 @@
-"""`slider sweep`: simulates one trial for a range of values of one or two fields."""
+"""`slider sweep`: simulates a trial for a range of values of one or two experiment fields."""
 
 import re
 import shutil
@@ -32,7 +32,7 @@ def sweep(
     steps_per_stride: Whole = 300,
     swim: bool = False,
 ) -> None:
-    """Simulates one trial for evenly spaced values of one or two fields.
+    """Simulates one trial for evenly spaced values of one or two fields of the experiment.
 
     The command writes sweep.csv, sweep.json (settings and versions) and sweep.png to DIR. Each row
     of sweep.csv contains one value (or pair of values) of the fields, and the means over the steady
@@ -50,7 +50,7 @@ def sweep(
         start2: first value of the second field, in SI units (required with --field2).
         stop2: last value of the second field, in SI units (required with --field2).
         count2: number of evenly spaced values of the second field (required with --field2).
-        model: TOML file. [robot], [parameters] replace keys of EXPERIMENT; [[effects]] are added.
+        model: TOML file. Its [robot] and [parameters] override EXPERIMENT; [[effects]] are added.
         trial: number of the trial to simulate, counted from 0 (default: N if a field begins with
             trials.N, otherwise 0).
         strides: number of strides to simulate.

@@ -28,14 +28,14 @@ def swim(
     """Simulates free swimming with each trial's drive and reports the steady speed.
 
     The command computes the steady speed twice: by root finding, and by a simulation from rest
-    until strides repeat. DIR then contains swim.json (all values, settings and versions), and for
-    each trial NAME the files NAME_swim.png and NAME_swim.csv, which describe one steady stride.
+    until the speed is steady. DIR then contains swim.json (all values, settings and versions). For
+    each trial NAME, the files NAME_swim.png and NAME_swim.csv describe one steady stride.
 
     Args:
         experiment: experiment file (.toml); towing and heaving of the trials are ignored (default:
             the paper's optimum, with the head's form drag fitted to the measured speed).
         out: folder for the results; created if missing. Existing files are replaced.
-        model: TOML file. [robot], [parameters] replace keys of EXPERIMENT; [[effects]] are added.
+        model: TOML file. Its [robot] and [parameters] override EXPERIMENT; [[effects]] are added.
         trial: number of the trial to simulate, counted from 0 (default: all trials).
     """
     from slider_jax.swimming.free_swim import free_swimmer, simulate_free_swim, swim_record
@@ -69,20 +69,20 @@ def climb(
     """Simulates climbing a wall with each trial's drive.
 
     The ends of a cross-link at the head are pinned alternately. Climbing is simulated in air:
-    hydrodynamic forces and the carriage clamp are omitted. The simulation runs until strides
-    repeat. The command reports the last 15 strides and writes climb.json (all values, settings and
-    versions) to DIR. For each trial NAME, DIR also contains NAME_climb.png, NAME_climb.csv and the
-    film NAME_climb.gif.
+    hydrodynamic forces and the carriage clamp are omitted. The simulation ends when the motion
+    is periodic. The command reports means over the last 15 strides and writes climb.json (all
+    values, settings and versions) to DIR. For each trial NAME, DIR also contains NAME_climb.png,
+    NAME_climb.csv and the film NAME_climb.gif.
 
     Args:
         experiment: experiment file (.toml); towing, heaving and water are ignored (default: the
             built-in robot at 2 Hz).
         out: folder for the results; created if missing. Existing files are replaced.
-        model: TOML file. [robot], [parameters] replace keys of EXPERIMENT; [[effects]] are added.
+        model: TOML file. Its [robot] and [parameters] override EXPERIMENT; [[effects]] are added.
         trial: number of the trial to simulate, counted from 0 (default: all trials).
-        pin_phase: delay from the positive step of the front chamber to the pinning of the left end,
-            as a fraction of a period. The right end is pinned half a period later (default: the
-            fastest of 16 phases).
+        pin_phase: delay from the positive step of the front chamber's set pressure until the left
+            end is pinned, as a fraction of a period. The right end is pinned half a period later
+            (default: of 16 phases, the phase with the fastest climb).
         link: length of the cross-link, in m.
         cap: highest set pressure, in Pa; larger amplitudes are reduced to this value.
     """
@@ -122,7 +122,7 @@ def _run(
     simulated: Callable[..., tuple[dict[str, Any], dict[str, Any], list[str]]],
     values: dict[str, Any],
 ) -> None:
-    """Simulates and reports trials of the experiment `given`, which was read from `inputs`.
+    """Simulates and reports trials of the experiment `given`, read from the files `inputs`.
 
     `check` raises `InputError` for an invalid trial. `simulated(trial, stem, say)` draws files
     whose paths begin with `stem`, and returns the trial's record, CSV columns and printed lines.
@@ -132,7 +132,7 @@ def _run(
     trials = chosen_trials(given.trials, trial)
     if inputs[0] is not None:
         refuse_own_folder(out, given.folder)
-    for x in trials:  # report every invalid trial before the first computation
+    for x in trials:  # check all trials before the first simulation
         check(x)
     rows = []
     with staged(out) as stage:

@@ -23,13 +23,13 @@ class Variable(NamedTuple):
 
     low: float
     high: float
-    """Default bounds, in SI units."""
+    """Default lower bound `low` and upper bound `high`, in SI units."""
     table: type[Trial] | type[RobotTable]
     field: str
-    """Field of `table` in an experiment file. The bounds must be in the field's physical range."""
+    """Key in the `table` of an experiment file. The key's allowed range limits the bounds."""
     unit: str
     factor: float
-    """Displayed unit, and factor from the SI unit to the displayed unit."""
+    """`unit` is the displayed unit, and `factor` converts a value from the SI unit to this unit."""
 
 
 VARIABLES = {
@@ -40,13 +40,13 @@ VARIABLES = {
     "tail_length": Variable(0.020, 0.100, RobotTable, "tail_length", "mm", 1e3),
     "EI_tail": Variable(0.001, 0.038, RobotTable, "EI_tail", "mN m^2", 1e3),
 }
-"""Design variables in the order of `Gait`. The upper bounds are assumed: the paper's highest
-frequency and pressure, and a tail that is as stiff as the body."""
+"""Design variables in the order of `Gait`. The bounds are assumed. The highest frequency and the
+highest pressure are those of the paper. The stiffest tail is as stiff as the body."""
 
 
 @dataclass(frozen=True)
 class GaitBounds:
-    """Bounds (6,) of the variables of `Gait` in SI units; the unit box scales them to 0 and 1."""
+    """Bounds (6,) of `Gait`, in SI units. The unit box scales each variable to the range 0 to 1."""
 
     low: np.ndarray
     high: np.ndarray
@@ -82,11 +82,11 @@ def gait_bounds(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
 
 
 def models(experiment: Experiment) -> Callable[[Gait], Model]:
-    """Returns a function that gives the free swimmer of the first trial with another gait.
+    """Returns a function from a gait to the model of the free swimmer with this gait.
 
-    The function is differentiable. Quantities that depend on the frequency follow the gait's
-    frequency: drag and added mass (by ramp or table), and effects with a field `stride_frequency`.
-    The drive is a square wave.
+    The function changes the model of the first trial, and is differentiable. The drive is a square
+    wave. Coefficients of drag and added mass that depend on the frequency, and the parameter
+    `stride_frequency` of effects, follow the gait's frequency.
     """
     base = to_model(experiment, 0)
 
@@ -106,7 +106,7 @@ def models(experiment: Experiment) -> Callable[[Gait], Model]:
 
 
 def speed_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
-    """Returns the function from a point of the unit box to the steady speed [m/s], or NaN."""
+    """Returns a function from a point of the unit box to the steady speed [m/s], NaN if none."""
     model = models(experiment)
 
     def speed(unit: Float[Array, "6"]) -> Float[Array, ""]:
@@ -118,7 +118,7 @@ def speed_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
 
 
 def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
-    """Returns the function from a point of the unit box to (steady speed [m/s], gradient (6,)).
+    """Returns a function from a point of the unit box to (steady speed [m/s], gradient (6,)).
 
     The gradient is in m/s per width of the bounds.
     """

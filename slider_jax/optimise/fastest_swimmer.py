@@ -43,8 +43,8 @@ design on the experiment's own mesh."""
 STIFFEST = 10
 """Largest upper bound of the tail's EI, divided by the body's EI."""
 ASCENDING = 2
-"""Number of individuals whose gradients a device evaluates together. The number is small, because
-gradient ascent has few individuals and all cores should work."""
+"""Number of individuals whose gradients a device computes together. Gradient ascent has few
+individuals, so only a small number per device occupies all cores."""
 
 
 class Task(NamedTuple):
@@ -80,12 +80,12 @@ class Task(NamedTuple):
                 f"at most {stiffest:g} N m^2, {STIFFEST} times the body's EI",
                 "in N m^2, not mN m^2",
             )
-        for corner in (box.low, box.high):  # checks that both are experiments
+        for corner in (box.low, box.high):  # raises an error for an invalid corner
             to_swimmer(to_model(with_gait(experiment, Gait(*corner))))
         return cls(experiment, box, search)
 
     def settings(self) -> dict[str, Any]:
-        """Returns everything that a score depends on."""
+        """Returns all settings on which the speed of a design depends."""
         bounds = np.stack([self.box.low, self.box.high], axis=1).tolist()
         search = self.search._asdict()
         return {
@@ -137,18 +137,18 @@ def search_fastest(
 
 
 class Sensitivity(NamedTuple):
-    """Derivatives of the steady speed at a design."""
+    """Derivatives of the steady speed with respect to the six variables at a design."""
 
     gradient: np.ndarray
     """Gradient (6,) of the speed [m/s per width of the bounds]."""
     hessian: np.ndarray
-    """Hessian (6, 6) [m/s per product of two widths], from gradients 4 % of a width apart."""
+    """Hessian (6, 6) of the speed [m/s per product of two widths of the bounds]."""
 
 
 def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity:
-    """Returns gradient and Hessian at a point of the unit box.
+    """Returns gradient and Hessian of the steady speed at a point of the unit box.
 
-    The implicit function theorem gives the gradient. Central differences give the Hessian.
+    The implicit function theorem gives the gradient. Its central differences give the Hessian.
     """
     model, box = models(task.experiment), task.box
 
@@ -157,7 +157,7 @@ def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity
         return steady_speed(model(gait), gait.frequency, task.search._replace(settling=10))
 
     gradient = jax.jit(jax.jacfwd(speed))
-    # Near a face of the unit box, both points move inside, where all values are physical.
+    # Near a face of the unit box, both points of a difference move inside the box.
     middle = np.clip(unit, step, 1.0 - step)
     ends = ((jnp.asarray(middle + d), jnp.asarray(middle - d)) for d in step * np.eye(len(unit)))
     hessian = np.asarray([(gradient(a) - gradient(b)) / (2.0 * step) for a, b in ends])

@@ -32,21 +32,21 @@ class Generation(NamedTuple):
     mean: float
     """Mean score of the individuals that did not fail."""
     failed: int
-    """Number of individuals that failed."""
+    """Number of individuals without a finite score."""
     evaluations: int
-    """Number of evaluations so far; an evaluation with gradient counts as `cost`."""
+    """Number of evaluations so far. An evaluation with gradient counts as `Optimiser.cost`."""
 
 
 class OptimisationResult(NamedTuple):
     """Result of an optimisation."""
 
     best: np.ndarray
-    """Best individual (d,), in the unit box."""
+    """Best individual: values (d,) of the d variables in the unit box."""
     score: float
     """Score of the best individual."""
     history: list[Generation]
     population: np.ndarray
-    """Last population (n, d)."""
+    """Last population (n, d) of n individuals."""
     scores: np.ndarray
     """Scores (n,) of the last population."""
 
@@ -73,8 +73,8 @@ def run_optimiser(
     `evaluate(population (n, d), gradients)` returns scores (n,), and gradients (n, d) if
     requested. `on_generation` is called after each generation with the summary and the duration in
     seconds. With `resume`, the optimisation continues from the checkpoint in `folder`, if any. If
-    several processes compute, only one process may write checkpoints (`keep`). Raises `InputError`
-    for a checkpoint that has other `settings` or is damaged, and for a checkpoint without `resume`.
+    several processes compute, only the process with `keep` writes checkpoints. Raises `InputError`
+    if the checkpoint is damaged, has other `settings`, or exists although `resume` is false.
     """
     state, none = optimiser.begin(seed), np.full(0, np.nan)
     path = None if folder is None else folder / CHECKPOINT
@@ -106,7 +106,7 @@ def run_optimiser(
 
 
 def refuse_without(resume: bool, path: Path) -> None:
-    """Raises `InputError` if not `resume`, because `path` is of an earlier optimisation."""
+    """Raises `InputError` if `resume` is false. An earlier optimisation wrote the file `path`."""
     if not resume:
         raise InputError(
             f"{path}: this folder holds an optimisation; add --resume to continue the search, or "
@@ -138,7 +138,7 @@ def _save(path: Path, state: Any, result: OptimisationResult, settings: dict[str
 
 
 def _load(path: Path, state: Any, settings: dict[str, Any]) -> tuple[Any, OptimisationResult]:
-    """Returns state and result of a checkpoint; `state` is a tree with the same structure."""
+    """Returns (state, result) of a checkpoint. `state` is any state of the same optimiser."""
     damaged = InputError(
         f"{path}: the file is damaged or is not a checkpoint of this program; delete the file to "
         "start again, or restore the file from a copy"
@@ -163,7 +163,7 @@ def _load(path: Path, state: Any, settings: dict[str, Any]) -> tuple[Any, Optimi
 
 
 def differences(given: Any, saved: Any, place: str = "") -> list[str]:
-    """Returns a text for every leaf that differs between two trees of JSON types."""
+    """Returns a text for each number or string that differs between two JSON structures."""
     if isinstance(given, dict) and isinstance(saved, dict):
         keys = list(dict.fromkeys([*given, *saved]))
         pairs = [(f"{place}.{k}".lstrip("."), given.get(k), saved.get(k)) for k in keys]

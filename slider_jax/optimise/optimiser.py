@@ -1,6 +1,6 @@
-"""Defines optimisers that compute one generation at a time in the unit box (variables 0 to 1).
+"""Defines optimisers. All variables of a design are scaled to the range 0 to 1 (the unit box).
 
-All optimisers maximise a score. evosax and optax minimise, so this module changes the sign.
+All optimisers maximise a score. evosax and optax minimise, so they get minus the score.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from slider_jax.errors import InputError
 
 
 class Optimiser(NamedTuple):
-    """An algorithm that maximises a score, for one population size, with `ask` and `tell`.
+    """An algorithm that maximises a score: `ask` gives a population, `tell` takes its scores.
 
     The state is a tree of arrays. Random numbers depend on the seed and the generation only, so an
     optimisation that resumes from a saved state gives the same result as an uninterrupted one. An
@@ -28,12 +28,11 @@ class Optimiser(NamedTuple):
 
     name: str
     begin: Callable[[int], Any]
-    """Returns the state before the first generation, from the seed."""
+    """Returns the state before the first generation. The argument is the seed."""
     ask: Callable[[Any, int, int], tuple[np.ndarray, Any]]
-    """Returns (population (n, d) in the unit box, state) from a state, the seed and the generation
-    number."""
+    """Returns (population (n, d), state). Arguments: state, seed, number of the generation."""
     tell: Callable[[Any, int, int, np.ndarray, np.ndarray, np.ndarray | None], Any]
-    """Returns the next state from a state, the seed, the generation number, the population, scores
+    """Returns the next state. Arguments: state, seed, number of the generation, population, scores
     (n,), and gradients (n, d) if `wants_gradients`."""
     wants_gradients: Callable[[int], bool] = lambda generation: False
     """Whether the optimiser needs the gradients of a generation."""
@@ -62,10 +61,11 @@ times with and without gradient, rounded up."""
 
 
 def gradient(population: int, dimensions: int) -> Optimiser:
-    """Returns gradient ascent from the best of some scrambled Sobol points (first generation).
+    """Returns gradient ascent from the best individuals of the first generation.
 
-    Adam sets the steps; points outside the box are clipped to the faces. Source: Kingma, D. P., Ba,
-    J. (2015), Adam: a method for stochastic optimization, ICLR.
+    The first generation consists of scrambled Sobol points. Adam computes the steps. Points outside
+    the unit box are moved to its faces. Source: Kingma, D. P., Ba, J. (2015), Adam: a method for
+    stochastic optimization, ICLR.
     """
     adam = optax.adam(optax.cosine_decay_schedule(STEP, STEPS, LAST), b1=0.7, b2=0.9)
 
@@ -82,7 +82,7 @@ def gradient(population: int, dimensions: int) -> Optimiser:
         if slopes is None:
             best = np.argsort(-good, kind="stable")[:ASCENT_STARTS]
             return state | {"members": found[best]}
-        # A zero gradient lets an individual that failed continue with Adam's momentum.
+        # The gradient of a failed individual is set to 0; Adam's momentum still moves it.
         slopes = jnp.asarray(np.where(np.isfinite(slopes), slopes, 0.0))
         change, climb = adam.update(-slopes, state["climb"])
         return {"members": np.clip(found + np.asarray(change), 0.0, 1.0), "climb": climb}
@@ -98,8 +98,8 @@ MUTATION = (0.15, 0.002)
 """Standard deviation of mutations in the first generation and from generation `DECAY` on, as a
 fraction of the bounds' width."""
 PRESSURE = 1.8
-"""Selection pressure: expected number of offspring of the best individual. The expected number is 2
-- PRESSURE for the worst individual, and 1 on average."""
+"""Selection pressure: expected number of offspring of the best individual. The worst individual has
+2 - PRESSURE expected offspring. The mean over the population is 1."""
 ELITE = 2
 """Number of best individuals that each generation copies unchanged."""
 SPREAD = 0.3
@@ -130,7 +130,7 @@ class RankGA(SimpleGA):
         fathers = sampled(other)[jax.random.permutation(order, n)]
         children = jnp.where(jax.random.bernoulli(mate, 0.5, mothers.shape), mothers, fathers)
         children = jax.vmap(mutation, (0, 0, None))(jax.random.split(moved, n), children, state.std)
-        # The elite comes first in the next population, unchanged.
+        # The first rows of the next population are copies of the best individuals.
         return jnp.clip(children, 0.0, 1.0).at[:ELITE].set(ranked[:ELITE]), state
 
 
@@ -139,7 +139,7 @@ def _key(seed: int, generation: int, use: int) -> jax.Array:
 
 
 def _losses(scores: np.ndarray) -> jax.Array:
-    """Returns losses for evosax, which minimises. A missing score counts as the worst."""
+    """Returns minus the scores, because evosax minimises. A score that is not finite is worst."""
     scores = np.asarray(scores, float)
     good = np.isfinite(scores)
     worst = scores[good].min() - 1.0 if good.any() else 0.0
@@ -152,7 +152,7 @@ MUTATION_SCHEDULE = optax.linear_schedule(*MUTATION, DECAY)
 
 @cache
 def _shared(algorithm: type, population: int, dimensions: int, *options: Any) -> Any:
-    """Returns one evosax object per size, because evosax compiles again for each object."""
+    """Returns the same evosax object for equal arguments. evosax compiles once for each object."""
     return algorithm(population, jnp.zeros(dimensions), *options)
 
 
@@ -183,7 +183,7 @@ def cma_es(
 ) -> Optimiser:
     """Returns CMA-ES (covariance matrix adaptation).
 
-    Points outside the box are clipped to the faces. The initial distribution has the mean
+    Points outside the unit box are moved to its faces. The initial distribution has the mean
     `around` (default: the centre of the box) and the standard deviation `spread`, as a fraction of
     the bounds' width.
     """

@@ -1,4 +1,4 @@
-"""Computes the Pareto front of one tail for two tasks, from swimming alone to climbing alone."""
+"""Computes the Pareto front of designs that swim and climb efficiently with one tail."""
 
 import json
 from collections.abc import Callable
@@ -36,7 +36,7 @@ class FrontPoint(NamedTuple):
     beta: float
     eta: float
     efficiencies: np.ndarray
-    """E_swim and E_climb (2,) [-]."""
+    """Efficiencies E_swim of swimming and E_climb of climbing, shape (2,) [-]."""
     design: np.ndarray
     """Variables (11,) in the unit box, in the order of `NAMES`."""
 
@@ -47,9 +47,9 @@ class Front(NamedTuple):
     points: list[FrontPoint]
     """Points of the front, by increasing beta."""
     only: np.ndarray
-    """E_swim,only and E_climb,only (2,): the largest values of `alone` and all compared designs."""
+    """E_swim,only and E_climb,only (2,): maxima over `alone` and over all compared designs."""
     alone: np.ndarray
-    """E_swim and E_climb (2,): the best values from the optimisations of one task alone."""
+    """Best E_swim and E_climb (2,), each from the optimisations of this task alone."""
     evaluations: dict[str, int]
     """Number of evaluations of each optimisation, by its name."""
 
@@ -64,13 +64,13 @@ class FrontEffort(NamedTuple):
 
     @property
     def between(self) -> tuple[int, int]:
-        """Population (a quarter) and generations (half) if an optimisation has a known start."""
+        """Population size and generations of an optimisation that starts from a known design."""
         return max(6, self.population // 4), max(1, self.generations // 2)
 
 
 @dataclass
 class FrontSearches:
-    """Optimisations that compute a front. Each optimisation has a folder with a checkpoint."""
+    """The optimisations of a front. Each optimisation writes a checkpoint to its own folder."""
 
     modes: TwoTasks
     effort: FrontEffort
@@ -158,7 +158,7 @@ def search_front(
     4. Select the best of all designs for each beta.
 
     With `resume`, an interrupted optimisation continues. Raises `InputError` if `folder` contains
-    an optimisation but `resume` is not given, or if the settings of this optimisation differ.
+    an optimisation and `resume` is false, or if this optimisation has other settings.
     """
     _begin(folder, {"betas": betas, **effort._asdict(), **modes.settings()}, resume)
     searches = FrontSearches(modes, effort, folder, on_generation)
@@ -222,7 +222,7 @@ def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
 def _best(
     beta: float, known: list[np.ndarray], efficiencies: np.ndarray, only: np.ndarray
 ) -> tuple[float, int]:
-    """Returns eta and index of the best design; the sum of efficiencies decides between equals."""
+    """Returns (largest eta, index). If eta is equal, the sum of relative efficiencies decides."""
     scores = eta(beta, efficiencies, only)
     other = np.nan_to_num((efficiencies / only).sum(axis=1), nan=-1.0)
     scores = np.where(np.isfinite(scores), scores, -np.inf)
@@ -233,7 +233,7 @@ def _best(
 def dominated(points: list[FrontPoint]) -> list[float]:
     """Returns the betas of the points that a neighbour dominates.
 
-    A neighbour dominates if no efficiency is smaller and at least one efficiency is larger.
+    A neighbour dominates a point if one of its efficiencies is larger and none is smaller.
     """
     return [
         point.beta

@@ -1,7 +1,7 @@
 """Evaluates a population on all devices of all processes.
 
-The population is divided into chunks of one size, for any number of devices. Therefore the score
-of an individual is the same to the last bit on one device and on many devices.
+The population is divided into chunks of equal size. This size does not depend on the number of
+devices, so the score of an individual is the same to the last bit for any number of devices.
 """
 
 import itertools
@@ -12,24 +12,24 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax._src import distributed  # the barrier of `distributed` accepts a timeout
+from jax._src import distributed  # private; its barrier accepts a timeout
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, PartitionSpec
 
 from slider_jax.errors import InputError
 
 CHUNK = 8
-"""Number of individuals that a device evaluates together; so many fit the cache of a core."""
+"""Number of individuals that a device evaluates together. Their data fit a core's cache."""
 PATIENCE = 3600
-"""Time [s] for which a process waits for slow processes, but not for processes that ended."""
+"""Longest time [s] for which a process waits for another process that still runs."""
 _meetings = itertools.count()
 
 
 class Evaluation:
     """Computes `objective` for every row of a population.
 
-    All processes must make the same calls. Devices exchange no data while they compute, because
-    another program may slow one device. A collective operation would then time out within seconds.
+    All processes must make the same calls. Devices exchange no data while they compute. If another
+    program slowed one device, such an exchange would time out within seconds.
     """
 
     def __init__(self, objective: Callable[[jax.Array], Any], chunk: int = CHUNK):
@@ -49,7 +49,7 @@ class Evaluation:
         n = len(population)
         filled = population[np.minimum(np.arange(-(-n // self._rows) * self._rows), n - 1)]
         parts = filled.reshape(-1, self._rows, filled.shape[-1])
-        found = [self._compiled(self._given(part)) for part in parts]  # starts all parts
+        found = [self._compiled(self._given(part)) for part in parts]  # starts all computations
         scores = jax.tree.map(lambda *x: np.stack([_local(part) for part in x]), *found)
         if jax.process_count() > 1:
             barrier("scores")
@@ -63,19 +63,19 @@ class Evaluation:
 
 
 def _local(part: jax.Array) -> np.ndarray:
-    """Returns the rows that this process holds."""
+    """Returns the rows of `part` that this process computed."""
     shards = sorted(part.addressable_shards, key=lambda x: x.index[0].start or 0)
     return np.concatenate([np.asarray(x.data) for x in shards])
 
 
 def start_devices(cores: int, coordinator: str = "", processes: int = 1, process: int = 0) -> None:
-    """Configures JAX with one device for each of `cores` CPU cores, at least two.
+    """Configures JAX with one device for each of `cores` CPU cores, and with at least two devices.
 
-    Call this before any JAX computation; later calls do not change the devices. `coordinator` is
+    Call this function before any JAX computation; later calls have no effect. `coordinator` is
     the host:port of process 0 if there are several processes. Omit `coordinator` under srun, where
     the processes find each other. Raises `InputError` if processes have different numbers of cores.
     """
-    # This is the number of processes of a SLURM job step. In the batch script, it is at most 1.
+    # The variable is the number of processes of a job step. In a batch script, it is at most 1.
     slurm = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1
     with suppress(RuntimeError):
         # For one device, XLA compiles differently, and the last bit of results would differ.
@@ -87,8 +87,8 @@ def start_devices(cores: int, coordinator: str = "", processes: int = 1, process
         counts = np.bincount([device.process_index for device in jax.devices()])
         if len(set(counts)) > 1:
             raise InputError(
-                f"processes: given {', '.join(map(str, counts))} cores; allowed is one number of "
-                "cores for all processes; set the number with taskset or --cpus-per-task"
+                f"processes: given {', '.join(map(str, counts))} cores; allowed is the same "
+                "number for all processes; set the number with taskset or --cpus-per-task"
             )
 
 
@@ -98,7 +98,7 @@ def is_first() -> bool:
 
 
 def barrier(place: str) -> None:
-    """Waits until all processes reach this call. All need the same number of calls."""
+    """Waits until all processes reach this call. All processes must make the same calls."""
     if jax.process_count() > 1:
         client = distributed.global_state.client
         assert client is not None

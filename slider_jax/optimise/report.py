@@ -23,8 +23,8 @@ SHOWN = (
     ("front", "pressures (kPa)", 1e-3),
     ("phase", "phase (of a period)", 1.0),
 )
-"""Variable, axis label, and factor from the SI unit to the unit in the label. A panel also shows
-the climber's variable. The panel of the front pressures also shows the rear pressures."""
+"""Plotted variable, axis label, and factor from the SI unit to the unit in the label. If swimmer
+and climber have different values, the panel shows both. "front" also shows the rear pressures."""
 
 
 def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
@@ -53,7 +53,7 @@ def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
 def on_own_mesh(
     modes: TwoTasks, design: np.ndarray, E_swim: Callable[[jax.Array], jax.Array]
 ) -> dict[str, Any]:
-    """Returns the results of `slider swim` and `slider climb`, on the experiment's own mesh."""
+    """Returns the efficiencies of a design, simulated on the experiment's own mesh."""
     swims, climbs, pin = modes.gaits(design)
     climbed = simulate_climb(with_gait(modes.task.experiment, climbs), 0, pin)
     return {
@@ -100,7 +100,7 @@ def write_front(
 
 
 def front_summary(content: dict[str, Any]) -> list[str]:
-    """Returns the lines of a front's table, and remarks."""
+    """Returns text lines: a table with a row for each beta, and remarks."""
     lines = [
         f"{'beta':>6}{'eta':>8}{'E_swim':>9}{'E_climb':>9}{'tail mm':>9}{'mN m^2':>8}"
         f"{'swim Hz':>9}{'kPa':>9}{'phase':>7}{'climb Hz':>10}{'kPa':>9}{'phase':>7}{'pin':>6}"

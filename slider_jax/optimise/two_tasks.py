@@ -1,11 +1,11 @@
-"""Defines the objective of one tail for two tasks, swimming and climbing, with a drive for each.
+"""Defines the objective for one tail that swims and climbs, with one drive for each task.
 
     eta(beta) = beta E_swim/E_swim,only + (1 - beta) E_climb/E_climb,only,    0 <= beta <= 1
 
 beta is the weight of swimming. E_swim is the Froude efficiency of a steady stride. E_climb is m g
 U/P over 15 strides, with the weight m g, the upward speed U and the power P of the chambers. The
 index "only" marks the largest efficiency for one task alone. A design has two drives and one tail.
-At beta = 0 or 1, one task has no weight; its drive is optimised for the tail of the other task.
+At beta = 0 or 1, one task has weight 0; its drive is optimised for the tail of the other task.
 """
 
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ from slider_jax.swimming.steady_state import SteadySettings
 
 DRIVE = ("frequency", "front", "rear", "phase")
 NAMES = (*DRIVE, *(f"climb_{name}" for name in DRIVE), "pin_phase", "tail_length", "EI_tail")
-"""Design variables; the first four are the swimmer's drive."""
+"""Design variables: drive of the swimmer (4), drive and pin phase of the climber (5), tail (2)."""
 SWIM, CLIMB, TAIL = (0, 1, 2, 3), (4, 5, 6, 7, 8), (9, 10)
 CLIMBER_BOUNDS = {
     "climb_frequency": (1.0, 4.0),
@@ -42,7 +42,7 @@ the time step is too long, and the efficiency is NaN."""
 
 
 class TwoTasks(NamedTuple):
-    """Both tasks of one robot, and the bounds of the designs."""
+    """The swimming task and the climbing task of one robot, and the bounds of the designs."""
 
     task: Task
     """The swimming task, with the bounds of the swimmer's drive and of the tail."""
@@ -67,7 +67,7 @@ class TwoTasks(NamedTuple):
             np.concatenate([x[:4], y, x[4:]])
             for x, y in zip((task.box.low, task.box.high), climbing, strict=True)
         )
-        # Fewer settling strides than the default (15) are enough to compare designs.
+        # 10 settling strides, instead of ClimbPlan's default of 15, are enough to compare designs.
         steps = steps_per_stride + steps_per_stride // 3
         numerics, scheme = task.search.numerics, task.search.scheme
         plan = ClimbPlan(10, 15, steps + steps % 2, numerics, scheme)
@@ -93,7 +93,7 @@ class TwoTasks(NamedTuple):
         return Gait(*x[:4], *x[9:]), Gait(*x[4:8], *x[9:]), x[8]
 
     def settings(self) -> dict[str, Any]:
-        """Returns everything that the efficiencies depend on."""
+        """Returns all settings on which the efficiencies depend."""
         rows = np.stack([self.low, self.high], axis=1).tolist()
         bounds = dict(zip(NAMES, rows, strict=True))
         plan = {"settling": self.plan.settling, "strides": self.plan.strides,
@@ -102,7 +102,7 @@ class TwoTasks(NamedTuple):
 
 
 def swim_efficiency(experiment: Experiment, search: SteadySettings):
-    """Returns the function from a gait (6,) in SI units to the Froude efficiency, or NaN."""
+    """Returns a function from a gait (6,) in SI units to E_swim; NaN without forward swimming."""
     model = models(experiment)
 
     def one(x: Float[Array, "6"]) -> Float[Array, ""]:
@@ -115,7 +115,7 @@ def swim_efficiency(experiment: Experiment, search: SteadySettings):
 
 
 def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
-    """Returns the function from (7,) SI values (drive, pin phase, tail) to E_climb = m g U/P.
+    """Returns a function from (7,) SI values (drive, pin phase, tail) to E_climb = m g U/P.
 
     The function returns NaN if a step fails or the energy balance has an error above `UNACCOUNTED`.
     """
@@ -152,7 +152,7 @@ class TaskEfficiencies:
 
 
 def eta(beta: float, efficiencies: np.ndarray, only: np.ndarray) -> np.ndarray:
-    """Returns eta (n,) of efficiencies (n, 2); NaN is allowed for a task with weight 0."""
+    """Returns eta (n,) of efficiencies (n, 2). An efficiency with weight 0 may be NaN."""
     weights = np.array([beta, 1.0 - beta])
     counts = weights > 0.0
     return (efficiencies[:, counts] / only[counts]) @ weights[counts]

@@ -23,10 +23,10 @@ class StatementCheck(NamedTuple):
 
     claim: str
     rule: str
-    """Criterion of the check."""
+    """Criterion of the check. `measured` is the result from the computed maps, as text."""
     measured: str
     agrees: bool | None
-    """Whether the maps agree with the claim; None if needed points have no steady speed."""
+    """Whether the maps agree with the claim; None if a needed point has no steady speed."""
 
     @property
     def verdict(self) -> str:
@@ -66,7 +66,7 @@ def short_tails_phase(over_phase: Map) -> StatementCheck:
 
 
 def negative_is_slower(over_phase: Map) -> StatementCheck:
-    """Checks whether a swimmer with a leading rear chamber is slower than one with phase 0."""
+    """Checks whether swimmers with negative phase are slower than swimmers with phase 0."""
     phases = over_phase.across
     negative = over_phase.speed[:, (phases < 0.0) & (phases > -0.5)]
     lead = over_phase.at(0.0) - np.max(negative, axis=1)
@@ -81,7 +81,7 @@ def negative_is_slower(over_phase: Map) -> StatementCheck:
 
 
 def half_is_poor(over_phase: Map) -> StatementCheck:
-    """Checks whether antiphase is much slower than the paper's good phase of 0.2."""
+    """Checks whether phase 0.5 is much slower than the paper's good phase of 0.2."""
     _, good, poor = (over_phase.at(phase) for phase in MARKED)
     both = np.isfinite(poor + good)
     slow, fast = (
@@ -96,7 +96,7 @@ def half_is_poor(over_phase: Map) -> StatementCheck:
 
 
 def long_tails_gain_less(over_phase: Map) -> StatementCheck:
-    """Checks whether the best phase increases the speed less for the longer tails."""
+    """Checks whether the best phase increases the speed of long tails less than of short tails."""
     gain, short = _tops(over_phase)[1] - over_phase.at(0.0), _short(over_phase)
     found = np.isfinite(gain)
     parts = (gain[found & part] for part in (~short, short))
@@ -112,7 +112,7 @@ def long_tails_gain_less(over_phase: Map) -> StatementCheck:
 
 
 def slice_of_phase(over_phase: Map) -> list[StatementCheck]:
-    """Checks the paper's slice: best phase, order of the three points, and negative phases."""
+    """Checks statements about a 60 mm tail: best phase, order of three phases, negative phases."""
     one = over_phase.slice_at(MARKED_LENGTH)
     (top,), (speed,) = _tops(one)
     none, good, poor = (float(one.at(phase)[0]) for phase in MARKED)
@@ -149,7 +149,7 @@ def findings(over_stiffness: Map, over_phase: Map) -> list[StatementCheck]:
 
 
 def _tops(over_phase: Map) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the best phases and speeds; NaN if a point beside the best point has no speed."""
+    """Returns best phases and speeds (n,); NaN if a neighbour of the best point has no speed."""
     peaks = best_phase(over_phase)
     known = [p.inside is not None for p in peaks]
     best, speed = (np.array([getattr(p, name) for p in peaks]) for name in "xy")
@@ -171,7 +171,7 @@ def _mm(lengths) -> str:
 
 
 def _text(lengths: np.ndarray, values, form: str) -> str:
-    """Returns text: values of the shortest and longest tail, range, and lengths without value."""
+    """Returns the values of the shortest and longest tail, the range, and the missing lengths."""
     values, found = np.asarray(values, float), np.isfinite(values)
     lost = f"; missing for {_mm(lengths[~found])}" if not found.all() else ""
     if not found.any():

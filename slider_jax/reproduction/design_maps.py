@@ -37,7 +37,7 @@ class Map(NamedTuple):
 
 
 class Peak(NamedTuple):
-    """Maximum `y` of a curve, at `x`."""
+    """Maximum of a curve: `y` is the largest value, and `x` is its position."""
 
     x: float
     y: float

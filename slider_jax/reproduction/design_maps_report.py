@@ -44,7 +44,7 @@ def plot_design_maps(over_stiffness: Map, over_phase: Map, title: str, path: Pat
         ax.set_title(f"{letter}: {name}", loc="left", fontsize="medium")
     lost = sum(int(np.isnan(x.speed).sum()) for x in (over_stiffness, over_phase))
     note = f"; hatched: no steady speed found, {lost} points" if lost else ""
-    figure.suptitle(f"{title}\ncircles and triangles: maximum at a length{note}", fontsize="medium")
+    figure.suptitle(f"{title}\ncircles, triangles: best at each length{note}", fontsize="medium")
     save_figure(figure, path)
 
 
@@ -73,7 +73,7 @@ def _draw_slices(ax, drawn: Map, peaks: list[Peak], factor: float) -> None:
 
 
 def _mark(ax, over_phase: Map) -> None:
-    """Marks the paper's three points on the paper's slice, and the paper's best phase."""
+    """Marks the three phases that the paper compares at 60 mm, and the paper's best phase."""
     one = over_phase.slice_at(MARKED_LENGTH)
     speeds = [1e2 * float(one.at(phase)[0]) for phase in MARKED]
     ax.plot(MARKED, speeds, "ko", ms=6, zorder=5, clip_on=False)

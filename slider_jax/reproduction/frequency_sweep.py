@@ -28,7 +28,7 @@ class FrequencySweepSettings(eqx.Module):
     """Settings of the sweep; the defaults are those of `slider demo`.
 
     With 400 or 500 instead of 300 steps per stride, the mean thrusts change by at most 0.02 mN.
-    Steps per stride must be a multiple of 20, so that pressure edges and poses are on time steps.
+    Steps per stride must be a multiple of 20: a time step then ends at each pressure step and pose.
     """
 
     robot: Robot = Robot()
@@ -46,13 +46,13 @@ class FrequencySeries(NamedTuple):
     t: np.ndarray
     """Times (steps,) [s]."""
     channels: dict[str, np.ndarray]
-    """Readings (steps,) of every channel by name, in SI units."""
+    """Readings (steps,) of every channel, by the channel's name, in SI units."""
     midlines: np.ndarray
     """Midlines (poses, 2, nodes) [m] of the last stride, relative to the head."""
 
 
 class FrequencySweep(NamedTuple):
-    """Result of a sweep of F frequencies. Columns (F,) of `table` have names that end in units."""
+    """Result for F frequencies. The names of the columns (F,) of `table` end with the unit."""
 
     table: dict[str, np.ndarray]
     stride_thrust: np.ndarray

@@ -17,7 +17,7 @@ from slider_jax.reproduction.frequency_sweep import (
 def thrust_against_frequency(
     sweep: FrequencySweep, settings: FrequencySweepSettings, path: Path
 ) -> None:
-    """Plots mean thrust; bars are the standard deviation of strides, as in the paper's Fig. 4."""
+    """Plots mean thrust, with standard deviations between strides, like the paper's Fig. 4."""
     table = sweep.table
     f, mean = table["frequency_Hz"], 1e3 * table["thrust_mean_N"]
     figure, ax = new_figure(figsize=(8, 4.8))

@@ -29,7 +29,7 @@ ASSUMED = {
 def write_frequency_sweep(
     sweep: FrequencySweep, settings: FrequencySweepSettings, folder: Path
 ) -> None:
-    """Writes tables, pictures and settings; if one file fails, no file is written."""
+    """Writes tables, pictures and settings. If an error occurs, the folder stays unchanged."""
     with staged(folder) as stage:
         write_csv(stage / "sweep.csv", sweep.table)
         thrust_against_frequency(sweep, settings, stage / "thrust_against_frequency.png")

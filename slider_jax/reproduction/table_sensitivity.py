@@ -1,4 +1,4 @@
-"""Computes the sensitivity of the paper's performance table to single changes of the model."""
+"""Computes how single changes of the model change the values of the paper's performance table."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,10 +23,10 @@ from slider_jax.swimming.performance import Performance, Stride, steady_stride
 from slider_jax.swimming.steady_state import SteadySettings
 
 K_Q_OF_THE_TIP = 1.623e-6
-"""K_Q [m^3] with which 45 kPa in both chambers move the tip by 102 mm, as the paper states. It
-is 3.4 times the value from the paper's Q_set = 175 mN m at 365 kPa."""
+"""K_Q [m^3] with which 45 kPa in both chambers move the tip by 102 mm, as the paper states. This
+K_Q is 3.4 times the value that follows from the paper's Q_set = 175 mN m at 365 kPa."""
 TRANSIENT_STRIDES, MEAN_STRIDES = 12, 4
-"""Numbers of transient strides, and of strides for the mean thrust, with a clamped head."""
+"""Number of first strides that means exclude, and of strides in means, with a clamped head."""
 
 
 def _robot(**changed: Any) -> Callable[[Model], Model]:
@@ -78,9 +78,9 @@ CHANGES: dict[str, Callable[[Model], Model]] = {
     "chambers over the whole body": _robot(front_chamber=(0.0, 0.149), rear_chamber=(0.149, 0.298)),
     "twice the axial resistance": _effect("head_drag", area=2.0 * HEAD_DRAG),
 }
-"""Changes of the model of the paper's optimum, by name. Each change is applied alone."""
+"""Changes of the model for the paper's optimal gait, by name. Each change is applied alone."""
 RECALIBRATED = (NO_LAG, TIP_K_Q, SOFT_TAIL)
-"""Changes after which the head's form drag is fitted again."""
+"""Changes after which the head's form drag is fitted again to the measured speed."""
 
 
 class SteadyRow(NamedTuple):
@@ -179,7 +179,7 @@ def clamped_performance(
 def head_fixed_thrust(
     change: str, amplitude: float, optimum: Model, search: SteadySettings
 ) -> float:
-    """Returns the mean thrust [N] of the paper's head-fixed test at 4.8 Hz after a change."""
+    """Returns the mean thrust [N] of the paper's head-fixed test at 4.8 Hz with one change."""
     f = paper.THRUST_AT
     fixed = paper.head_fixed(f, Robot(), paper.Assumed(amplitude=amplitude))
     model = CHANGES[change](replace(optimum, robot=fixed.robot, drive=fixed.drive))

@@ -36,7 +36,7 @@ def zeros_wavelength(y: np.ndarray, s: np.ndarray) -> float:
 
 
 def without_recoil(y: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Returns shapes (times, points) minus the straight line fitted to each shape."""
+    """Returns the shapes y (times, points), each minus its fitted straight line."""
     line = np.stack([np.ones_like(s), s], axis=1)
     return y - (line @ np.linalg.lstsq(line, y.T, rcond=None)[0]).T
 

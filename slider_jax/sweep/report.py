@@ -15,7 +15,7 @@ DRAWN = (
     ("tip_half_range_m", "tip, half range (mm)", 1e3),
     ("chamber_power_W", "power of the chambers (mW)", 1e3),
 )
-"""Column, label with unit, and factor from the SI unit to the unit in the label."""
+"""Plotted column, its label with unit, and the factor from the SI unit to the unit in the label."""
 DRAWN_OF_SWIMMERS = (
     ("speed_m_per_s", "speed (cm/s)", 1e2),
     ("cost_of_transport", "cost of transport", 1.0),
@@ -25,7 +25,7 @@ DRAWN_OF_SWIMMERS = (
 
 
 def plotted_columns(sweep: Sweep) -> tuple[tuple[str, str, float], ...]:
-    """Returns the columns to plot, as in `DRAWN`."""
+    """Returns the plotted columns with labels and factors, in the form of `DRAWN`."""
     return DRAWN_OF_SWIMMERS if sweep.swim else DRAWN
 
 
@@ -44,7 +44,7 @@ def is_written(sweep: Sweep, folder: Path) -> bool:
 
 
 def write_sweep(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, source: Path) -> None:
-    """Writes sweep.csv, sweep.json and sweep.png; if one file fails, no file is written."""
+    """Writes sweep.csv, sweep.json and sweep.png. If an error occurs, no file changes."""
     settings = sweep.settings()
     record = {
         "settings": settings,
@@ -72,7 +72,7 @@ def _axis(axis: Axis) -> tuple[np.ndarray, str]:
 
 
 def plot_sweep(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
-    """Plots lines against one field, or contours against two fields, without failed points."""
+    """Plots lines (one varied field) or contours (two fields). Failed points are left blank."""
     figure, axes = new_figure(2, 2, figsize=(10, 7), sharex=True)
     x, along = _axis(sweep.axes[0])
     for ax, (name, label, factor) in zip(axes.flat, plotted_columns(sweep), strict=True):
@@ -96,7 +96,7 @@ def plot_sweep(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
 
 
 def plot_contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, label: str) -> None:
-    """Plots labelled contour lines at round levels, with three colours between two levels."""
+    """Plots labelled contour lines at round levels, and three colours between two lines."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)

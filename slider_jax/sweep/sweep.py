@@ -48,7 +48,7 @@ class Axis(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Unit of the field; empty if it has none."""
+        """Unit of the field; empty for a field without a unit."""
         quantity = quantity_of(field_at(Experiment, self.field.split("."))[1])
         return quantity.unit if quantity else ""
 
@@ -108,7 +108,7 @@ class Group(NamedTuple):
 
 
 def groups_of(sweep: Sweep) -> list[Group]:
-    """Returns the points by compiled program. Only fields of [numerics] need several programs.
+    """Returns groups of points that share a program. Only [numerics] may need several groups.
 
     Raises `InputError` for a field that does not affect the strides.
     """
@@ -166,7 +166,7 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, BatchRobot]:
     assert f is not None
     if "numerics.step" in values:
         steps = POSES * max(2, int(np.ceil(1.0 / (f * values["numerics.step"] * POSES) - 1e-9)))
-    # All points use the cells of the given robot, so that robots of all lengths share a program.
+    # The given robot sets the number of cells, so that robots of all lengths share a program.
     meshed = experiment.model_copy(update={"robot": sweep.experiment.robot})
     plan = Plan(steps, sweep.strides, *to_numerics(meshed))
     model = to_model(experiment, sweep.trial)
@@ -185,11 +185,11 @@ def _whole(field: str, value: float) -> float | int:
 
 
 class Chunk(NamedTuple):
-    """A part of a group that is computed in one call, and the file of its results."""
+    """Robots of a group that are simulated in one call, and the file of their results."""
 
     group: int
     members: np.ndarray
-    """Indices of robots in the group; the last index may be repeated to fill the chunk."""
+    """Indices of the robots in the group. The last index is repeated until the chunk is full."""
     points: np.ndarray
     """Indices of the points in the sweep, without repetitions."""
     file: Path
