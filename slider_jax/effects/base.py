@@ -25,9 +25,9 @@ from slider_jax.beam.parameters import Robot
 class Prior(NamedTuple):
     """Prior range of a parameter from `low` to `high`, with the reason `why` for this range.
 
-    The effect vanishes at `null`. `start` is the value at which the loop tests the effect. A
-    threshold, a limit and an effect that replaces a law need a start: the derivative at the null
-    does not predict these effects.
+    The effect vanishes at `null`. `start` is the value at which the loop (the search for missing
+    effects) first tests the effect. An effect needs a start if the derivative at the null does not
+    predict its influence, for example a deadband, a hard limit or a law that replaces the lag.
     """
 
     null: float
@@ -46,29 +46,28 @@ def parameter(
 
 
 class Effect(eqx.Module):
-    """One physical cause. The docstring of an effect gives the equation and the source."""
+    """A physical cause. Each subclass states its equation and its source in its docstring."""
 
     title: ClassVar[str] = ""
     """Name of the effect in reports."""
     order: ClassVar[float] = math.inf
-    """Position in lists and rankings. Effects without a position are last, in order of name."""
+    """Position of the effect in the library. Effects without a number are last, sorted by name."""
     sensors: ClassVar[tuple[str, ...]] = ("thrust", "recoil", "tip")
     """Sensors that can detect the effect: one or more of pressure, thrust, recoil and tip."""
     in_every_model: ClassVar[bool] = False
-    """Whether every model contains the effect. Such an effect is not in the library."""
+    """Whether every model contains the effect. If True, the library omits the effect."""
     is_candidate: ClassVar[bool] = True
-    """Whether the loop may add the effect to explain a residual. It is False if the effect cannot
-    act on a horizontal robot with a clamped head in a tank."""
+    """Whether the loop may add the effect to explain a residual. The value is False if the effect
+    cannot act on a horizontal robot with a clamped head in a tank."""
     rear_only: ClassVar[bool] = False
-    """Whether only the rear chamber has the effect. A log of one chamber cannot show the effect."""
+    """Whether the effect acts only on the rear chamber. Fits to pressure logs omit such effects."""
     lacks_weight: ClassVar[bool] = False
     """Whether the effect adds inertia without weight. Climbing simulations exclude such effects."""
     resists_axially: ClassVar[bool] = False
     """Whether the effect is a force density that resists axial motion. Normal drag and added mass
     do not resist axial motion."""
     replaces_law: ClassVar[str] = ""
-    """Name of the part of the model that the effect replaces, or an empty string. Two effects of a
-    model must not replace the same part."""
+    """Part of the model that the effect replaces, or "". Two effects must not replace one part."""
 
     @classmethod
     def name(cls) -> str:
@@ -77,12 +76,12 @@ class Effect(eqx.Module):
 
     @classmethod
     def place(cls) -> str:
-        """Returns the name of the base class for the place where the effect enters the model."""
+        """Returns the name of the effect's place: the name of a base class, such as `Flow`."""
         return next(kind.__name__ for kind in cls.__mro__[1:] if kind.__module__ == __name__)
 
     @classmethod
     def priors(cls) -> dict[str, Prior]:
-        """Returns the prior of each parameter that can be identified, with the name as key."""
+        """Returns the priors of the parameters that a fit can identify, by parameter name."""
         return {f.name: f.metadata["prior"] for f in fields(cls) if "prior" in f.metadata}
 
 
@@ -102,11 +101,11 @@ class BendingMoment(Effect):
 
     @abstractmethod
     def moment(self, x: Section, memory: Array, dt: Array) -> tuple[Array, Array]:
-        """Returns the moment (cells,) [N m] and the memory (cells,) at the end of the stage.
+        """Returns the moment (cells,) [N m] and the effect's state q (cells,) after the stage.
 
-        A positive moment acts like the elastic moment EI kappa of a positive curvature. A state q
-        of the effect has the time derivative (q - `memory`)/`dt`. The method must solve the
-        equation of q in closed form. An effect without a state returns `memory` unchanged.
+        A positive moment acts like the elastic moment EI kappa of a positive curvature. In the
+        stage, dq/dt is (q - `memory`)/`dt`. The method must solve the equation of q in closed form.
+        An effect without a state returns `memory` unchanged.
         """
 
 
@@ -122,11 +121,11 @@ class HeadRates(NamedTuple):
     """Time derivatives of the loads on the head, filtered with the time constant `MOUNT_LAG`."""
 
     T_t: Array
-    """dT/dt [N/s]"""
+    """dT/dt [N/s] of the axial force T."""
     N_t: Array
-    """dN/dt [N/s]"""
+    """dN/dt [N/s] of the shear force N."""
     M_t: Array
-    """dM/dt [N m/s]"""
+    """dM/dt [N m/s] of the bending moment M."""
 
 
 class Mounting(Effect):
@@ -134,7 +133,7 @@ class Mounting(Effect):
 
     @abstractmethod
     def give(self, rates: HeadRates) -> tuple[Array, Array, Array]:
-        """Returns the head's (V_tau, V_n) [m/s] and omega [rad/s] relative to the carriage."""
+        """Returns the head's V_tau, V_n [m/s] and omega [rad/s], all relative to the carriage."""
 
 
 class BodyChange(Effect):
@@ -152,7 +151,7 @@ class Command(Effect):
 
     @abstractmethod
     def command(self, wave: Waveform, chamber: int) -> Waveform:
-        """Returns the valves' waveform from the commanded `wave`. `chamber`: 0 front, 1 rear."""
+        """Returns the waveform at the valves for a command `wave`. `chamber` is 0 (front) or 1."""
 
 
 class Chamber(NamedTuple):
@@ -184,11 +183,11 @@ class Flow(Effect):
     def rate(self, rate: Array, x: Chamber) -> Array:
         """Returns dp/dt [Pa/s] with the effect; `rate` is dp/dt [Pa/s] without the effect.
 
-        The result may jump between filling and venting: steps are split where p changes its sign.
+        The result may jump only where p changes its sign, because the solver splits a step there.
         """
 
     def replaces(self) -> Array | bool:
-        """Returns whether the result of `rate` replaces the rate of the lag."""
+        """Returns whether the effect replaces the first-order lag of the pressure."""
         return False
 
 
@@ -202,8 +201,8 @@ class ActingPressure(Effect):
         """Returns the pressures (2,) [Pa] that bend the body at the end of a step, and the memory.
 
         `p` is the pressure [Pa] of front and rear at the end of the step `dt` [s]. `memory` (2, 2)
-        contains a state (2,) and the pressure (2,) before the step. Both rows are the pressure at
-        the start of a simulation. An effect without a state returns `memory` unchanged.
+        contains a state (2,) and the pressure (2,) before the step. At the start of a simulation,
+        both rows are the pressure. An effect without a state returns `memory` unchanged.
         """
 
 
@@ -254,7 +253,7 @@ def last_sample(readings: Readings) -> Readings:
 
 
 def of_place(effects: tuple[Effect, ...], place: type) -> tuple:
-    """Returns those of the `effects` that enter the model at `place`, in the same order."""
+    """Returns the `effects` whose base class is `place`, in the same order."""
     return tuple(effect for effect in effects if isinstance(effect, place))
 
 

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 from slider_jax.beam.parameters import Scalar
 
 LIMIT_EXPONENT = 32
-"""Exponent of the function `limited`. The result is 2 % too small for an x at the limit, and 0.1 %
-too small for an x at 90 % of the limit."""
+"""Exponent of the function `limited`. Compared with a hard limit, the result is 2 % smaller for an
+x at the limit, and 0.1 % smaller for an x at 90 % of the limit."""
 
 
 def magnitude(x: Array, width: float) -> Array:
@@ -67,7 +67,7 @@ def lagged(
 
     def body(y, ends):
         x_0, x_1 = ends
-        # This form subtracts the lag from x_1, so y is exact at tau = 0.
+        # e and m are zero at tau = 0, so this form returns x_1 without a rounding error.
         y = x_1 + e * (y - x_0) - m * (x_1 - x_0)
         return y, y
 

@@ -14,7 +14,7 @@ from slider_jax.errors import InputError
 
 
 def defined_effects(module: ModuleType) -> list[type[Effect]]:
-    """Returns the effects that `module` defines: concrete subclasses of a place, such as `Flow`."""
+    """Returns the concrete effects that `module` defines, such as a subclass of `Flow`."""
     kinds = [x for x in vars(module).values() if isinstance(x, type) and issubclass(x, Effect)]
     kinds = [x for x in kinds if x.__module__ == module.__name__ and not inspect.isabstract(x)]
     return [x for x in kinds if Effect not in (x, *x.__bases__)]
@@ -39,15 +39,15 @@ def load_effects(path: Path) -> list[str]:
 
     The file runs as Python code, so load only files that you trust. Raises `InputError` and adds no
     effect if the file cannot be imported or defines no effect, or if one of the effects is invalid.
-    An effect is invalid without a title or a parameter, with a null outside the prior range, or
-    with the name of another effect.
+    An effect is invalid if it has no title or no parameter, if a null is outside the prior range,
+    or if another effect has the same name.
     """
     module_name = f"_effects_of_{path.stem}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     if spec is None or spec.loader is None:
         raise InputError(f"{path}: is not a Python file; give a file whose name ends in .py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module  # dataclasses look up the annotations of fields there
+    sys.modules[module_name] = module  # dataclasses look up annotations in sys.modules
     try:
         spec.loader.exec_module(module)
         kinds = defined_effects(module)

@@ -27,7 +27,7 @@ def opening(error: Array, dead: Scalar) -> Array:
 
 
 class ValvePair(Flow):
-    """A model of a fill valve and a vent valve, pulsed by the firmware, replaces the lag.
+    """A fill valve and a vent valve, pulsed by the firmware, replace the first-order lag.
 
     At `fill` = 0, which is the null, the lag is unchanged.
     """

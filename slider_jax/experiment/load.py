@@ -38,7 +38,7 @@ from slider_jax.supports import Clamped
 
 
 class Experiment(ExperimentTable):
-    """A validated experiment. `folder` contains the files of the trials."""
+    """A validated experiment, with the folder that contains the files of its trials."""
 
     _folder: Path = PrivateAttr(default=Path("."))
 
@@ -78,8 +78,8 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
     """Returns the validated experiment of the file `path`, changed by the file `model` if given.
 
     Keys of `[robot]` and `[parameters]` in the model file replace keys of the experiment. The
-    `[[effects]]` of both files are combined. C_d and m_a of the model file replace the
-    experiment's ramp or table, and vice versa. Raises `InputError` with file and key.
+    `[[effects]]` of both files are combined. C_d or m_a in the model file replaces a ramp or table
+    of the experiment; a ramp or table replaces C_d and m_a. `InputError` names file and key.
     """
     path = Path(path)
     return assemble(read_toml(path), str(path), path.parent, model)
@@ -88,7 +88,7 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
 def assemble(
     content: dict[str, Any], source: str, folder: Path, model: Path | str | None = None
 ) -> Experiment:
-    """Returns the experiment with the tables `content` of the file `source`, as in `load`."""
+    """Returns the experiment of the tables `content`, as in `load`. Errors name `source`."""
     experiment = _experiment(content, source, folder)
     if model is None:
         return experiment
@@ -121,7 +121,7 @@ def assemble(
 
 
 def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
-    """Returns the values, by field name, that effects take from `trial` for omitted fields."""
+    """Returns values of `trial` for effect fields that the experiment file omits, by field name."""
     return {
         "density": experiment.robot.water_density,
         "stride_frequency": trial.frequency or 1.0,
@@ -133,8 +133,8 @@ def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = Non
     """Returns the effect of `table`. Fields that the table omits take their values from `taken`."""
     if table.name not in LIBRARY:
         raise InputError(
-            f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; drag and added "
-            "mass are always included, by parameters.C_d and parameters.m_a"
+            f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; every model "
+            "contains drag and added mass (parameters.C_d and parameters.m_a)"
             f"{did_you_mean(table.name, LIBRARY)}"
         )
     kind, given = LIBRARY[table.name], dict(table.model_extra or {})
@@ -164,7 +164,7 @@ def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, .
 
 
 def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]:
-    """Returns both chambers' recorded pressures after checks of duration, spacing and size."""
+    """Returns the recorded front and rear pressures, checked for duration, spacing and unit."""
     path = experiment.folder / str(trial.drive_file)
     names = ("p_front_Pa", "p_rear_Pa")
     columns = read_csv(path, (TIME, *names))

@@ -1,8 +1,8 @@
 """Reads the played drive of a trial: the set pressures that the valves followed, and their times.
 
-Other programs of the computer, the serial line and the manifold's control loop delay each pressure
-step by a different time. In a pressure step of 400 kPa, a delay of 1 ms changes the pressure by
-several kilopascals, which is many times the sensor noise. The played drive removes this error.
+Other programs on the computer, the serial line and the manifold's control loop delay each step of
+the set pressure by a different time. If a step of 400 kPa is 1 ms late, the pressure differs by
+several kilopascals, many times the sensor noise. The actual times remove this error.
 """
 
 from pathlib import Path
@@ -19,13 +19,13 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.io.csv import read_csv
 
 PLAYED_COLUMNS = ("t_s", "set_front_Pa", "set_rear_Pa")
-"""Columns of a .played.csv file: a time, and the signed set pressures from this time until the next
-time. The last row contains the end of the drive."""
+"""Columns of a .played.csv file. The signed set pressures of a row apply from the row's time until
+the time of the next row. The time of the last row is the end of the drive."""
 LEAST_ROWS = 64
-"""Smallest number of samples in a `Held` wave. The number is padded to a power of two, so that
+"""Smallest number of samples in a `Held` wave. Each wave is padded to a power of two, so that
 trials with different numbers of samples share compiled programs."""
 LONGEST_STEP = 2.5e-3
-"""Longest step of a simulation with a played drive [s]."""
+"""Longest time step [s] of a simulation with a played drive."""
 AVERAGING_TIME = 5e-3
 """Length [s] of the intervals in which frequent changes of a set pressure are averaged. The length
 is much smaller than the time constant of the pressure."""
@@ -73,7 +73,7 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
 
 
 def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns times and set pressures; averages frequent changes in each `AVERAGING_TIME`."""
+    """Returns times and set pressures, averaged over `AVERAGING_TIME` if changes are frequent."""
     if np.diff(t[:-1]).min(initial=np.inf) >= 0.9 * AVERAGING_TIME:
         return t, values
     area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
@@ -83,7 +83,7 @@ def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _held(t: np.ndarray, values: np.ndarray) -> Held:
-    """Returns a wave without repeated values: `Held` allows at most one sample in a time step."""
+    """Returns a wave without repeated values, because `Held` allows one sample in a time step."""
     kept = np.concatenate([[True], np.diff(values) != 0.0])
     t, values = t[kept], values[kept]
     rows = max(LEAST_ROWS, 1 << int(np.ceil(np.log2(len(t) + 1))))

@@ -22,11 +22,11 @@ class StepGrid:
     """Time step [s]."""
     steps: int
     half_period: int | None = None
-    """Number of steps per half stride; always None for a recorded drive."""
+    """Number of steps per half stride; None for a recorded drive."""
     phase: float = 0.0
     """Delay of the rear chamber, as a fraction of a stride."""
     played: np.ndarray | None = None
-    """Times of a played square wave's pressure steps [s]."""
+    """Times [s] of the pressure steps of a played square wave; None for other drives."""
 
     @property
     def stride(self) -> int:
@@ -35,12 +35,12 @@ class StepGrid:
 
     @property
     def times(self) -> np.ndarray:
-        """Times of all steps (steps + 1,), from 0 on [s]."""
+        """Times (steps + 1,) [s]: 0 and the ends of all steps."""
         return self.h * np.arange(self.steps + 1)
 
     @property
     def edges(self) -> np.ndarray:
-        """Indices of steps with an edge of the drive, with 0 and `steps`; times are rounded."""
+        """Indices in `times` nearest to the drive's pressure steps, including 0 and `steps`."""
         if self.played is not None:
             near = np.round(np.asarray(self.played) / self.h).astype(int)
             inner = near[(near > 0) & (near < self.steps)]
@@ -59,8 +59,8 @@ def step_grid(
 ) -> StepGrid:
     """Returns a grid up to `end` [s] with steps of at most `longest` [s].
 
-    A `spacing` [s], if given, is a multiple of the step. Otherwise, if the trial has a frequency,
-    half a stride is a multiple of the step.
+    If the `spacing` [s] of a recorded drive is given, the spacing is a multiple of the step.
+    Otherwise, if the trial has a frequency, half a stride is a multiple of the step.
     """
     half, edges = None, None if played is None else played.edges
     if spacing is not None:
@@ -91,7 +91,7 @@ class PreparedTrial:
     sample_times: np.ndarray
     """Sample times (n,) [s]."""
     played: PlayedDrive | None
-    """The played drive, or None if no file contains the played drive."""
+    """The drive that the valves followed; None if the model has the experiment file's drive."""
     measured: dict[str, np.ndarray] | None
     """Columns of the trial's measured file, or None if this file does not exist."""
     channels: tuple[Channel, ...]
@@ -107,9 +107,9 @@ def prepare(
     """Reads a trial's files, builds the model, and chooses the time steps according to [numerics].
 
     If `sample_times` (n,) [s] are given, the trial's measured file is not read. Otherwise, the
-    sample times come from the measured file, or from the sensors' sample rate without this file. If
-    `declared_drive` is true, the model has the drive of the experiment file. Raises `InputError` if
-    a file is invalid.
+    sample times come from the measured file, or from sensors.sample_rate if this file does not
+    exist. If `declared_drive` is true, the model has the drive of the experiment file, not the
+    played drive. Raises `InputError` if a file is invalid.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
@@ -136,10 +136,10 @@ def prepare(
 
 
 def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> int:
-    """Returns the number of steps per half period of `frequency` [Hz], at most `longest` [s] each.
+    """Returns the number of steps of at most `longest` [s] in a half period of `frequency` [Hz].
 
-    The edges of the front set pressure are therefore at ends of steps. The number of steps
-    is increased by up to a quarter if then the rear chamber's edges are also at ends of steps.
+    The front set pressure therefore jumps at ends of steps. The number is increased by up to a
+    quarter if then the rear set pressure, `phase` periods later, also jumps at ends of steps.
     """
     least = max(2, int(np.ceil(0.5 / (frequency * longest) * (1.0 - 1e-12))))
     for steps in range(least, least + least // 4 + 1):
@@ -149,7 +149,7 @@ def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> i
 
 
 def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
-    """Returns the indices of steps at which a set pressure has an edge, with 0 and `steps`."""
+    """Returns the indices of the steps at which a set pressure jumps, and 0 and `steps`."""
     delay = round(2 * half_period * phase) % half_period
     front, rear = np.arange(0, steps, half_period), np.arange(delay, steps, half_period)
     return np.unique(np.concatenate([front, rear, [0, steps]]))
@@ -158,10 +158,10 @@ def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
 def sample_series(
     t: np.ndarray, values: np.ndarray, at: np.ndarray, edges: np.ndarray
 ) -> np.ndarray:
-    """Interpolates `values` (n, ...) at evenly spaced times `t` (n,) cubically to the times `at`.
+    """Interpolates `values` (n, ...), given at evenly spaced times `t` (n,), to the times `at`.
 
-    Each result uses the four nearest steps between two neighbouring `edges` (indices of t), so no
-    polynomial crosses an edge. With fewer than four steps between the edges, all steps are used.
+    Each cubic polynomial uses the four nearest times between two neighbouring `edges` (indices of
+    t), and does not cross an edge. Between edges with fewer than four times, its degree is lower.
     """
     h = (t[-1] - t[0]) / (len(t) - 1)
     place = np.clip((at - t[0]) / h, 0.0, len(t) - 1.0)

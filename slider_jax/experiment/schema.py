@@ -33,7 +33,7 @@ FileName = Annotated[str, AfterValidator(_plain_name)]
 
 
 class Table(BaseModel):
-    """A table of the file; unknown keys are errors, and values are immutable."""
+    """A table of an experiment file. Unknown keys are errors, and values are immutable."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -87,7 +87,7 @@ class ParametersTable(Table):
     """[parameters]: the values that calibration identifies.
 
     `force_coefficients` is the source of C_d and m_a. With "fixed", C_d and m_a are the numbers in
-    this table. With "ramp", C_d and m_a follow the paper's ramp at each trial's frequency. With
+    this table. With "ramp", `paper.force_coefficients` returns both for the trial's frequency. With
     "table", C_d and m_a are interpolated linearly in the frequency, and constant outside the table.
     """
 
@@ -116,7 +116,7 @@ class ParametersTable(Table):
 
 
 class SensorsTable(Table):
-    """[sensors]: standard deviations of the sensors' errors, and the sample rate."""
+    """[sensors]: standard deviations and correlation time of sensor errors, and sample rate."""
 
     pressure_noise: Annotated[float, Quantity(0.0, 1e5, "Pa")] = 0.0
     force_noise: Force = 0.0
@@ -135,7 +135,7 @@ class WaterTable(Table):
 
 
 class NumericsTable(Table):
-    """[numerics]: nodes along the robot, longest time step, time scheme and tolerance of a step."""
+    """[numerics]: nodes along the robot, longest time step, time scheme and solver tolerance."""
 
     nodes: Annotated[int, Field(strict=True, ge=FEWEST_NODES, le=1001)] = 51
     step: Annotated[float, Quantity(1e-5, 0.02, "s")] = 1e-3
@@ -145,7 +145,7 @@ class NumericsTable(Table):
 
 class Trial(Table):
     """[[trials]]: one trial. The rear set pressure is `rear_ratio` times the front set pressure and
-    `phase` periods later. `drive_is` states whether a recorded drive is measured."""
+    `phase` periods later. A recorded drive contains set or measured pressures (`drive_is`)."""
 
     file: FileName
     waveform: Literal["square", "sine", "trapezoid", "recorded"] = "square"
@@ -162,7 +162,7 @@ class Trial(Table):
     pitch_phase: Annotated[float, Quantity(-6.2832, 6.2832, "rad")] = 0.0
     clamp_frequency: Annotated[float, Quantity(0.05, 20.0, "Hz")] | None = None
     duration: Annotated[float, Quantity(0.01, 600.0, "s")]
-    initial: Any = None  # accepted and ignored
+    initial: Any = None  # accepted, but not used
 
     @model_validator(mode="after")
     def _drive_is_complete(self) -> "Trial":
@@ -186,7 +186,7 @@ class Trial(Table):
 
 
 class EffectTable(BaseModel):
-    """[[effects]]: an additional effect by name, with its parameters."""
+    """[[effects]]: the name of an additional effect, and values of its parameters."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
     name: str

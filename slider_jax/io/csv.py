@@ -15,7 +15,7 @@ def read_csv(
 ) -> dict[str, np.ndarray]:
     """Returns the columns as `read_table`, and checks that the first `required` column increases.
 
-    The error calls this column `increasing`. Raises `InputError` with file and line.
+    `increasing` names the column's quantity in errors. Raises `InputError` with file and line.
     """
     columns, lines = _read(path, required, blank)
     times = columns[required[0]]

@@ -1,4 +1,4 @@
-"""Writes result files atomically, and computes versions and digests of inputs for these files.
+"""Writes result files atomically, and returns versions and input digests for result files.
 
 A file is written under a temporary name and then renamed, so no file is ever incomplete.
 """

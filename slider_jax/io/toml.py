@@ -1,4 +1,4 @@
-"""Reads, validates and writes TOML. An error names the place and the allowed values."""
+"""Reads, validates and writes TOML. Errors name the file, the key and the allowed values."""
 
 import difflib
 import re
@@ -45,10 +45,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 def toml_text(
     content: Mapping[str, Any], comment: str = "", units: Mapping[str, str] = MappingProxyType({})
 ) -> str:
-    """Returns values, tables and lists of tables as the text of a TOML file.
+    """Returns the values, tables and lists of tables in `content` as the text of a TOML file.
 
-    Each line of `comment` becomes a comment line at the top. `units` contains units by key. The
-    unit follows the value of the key as a comment.
+    Each line of `comment` becomes a comment line at the top. `units` contains the unit of each key.
+    The unit is written as a comment after the key's value.
     """
     document = tomlkit.document()
     for line in comment.splitlines():
@@ -81,7 +81,7 @@ def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:
 def field_at(
     table: type[BaseModel], location: Sequence[str | int]
 ) -> tuple[type[BaseModel], FieldInfo | None]:
-    """Returns the innermost table and the field of a location such as ("trials", 0, "phase")."""
+    """Returns the innermost table and the field at a key such as ("trials", 0, "phase")."""
     field = None
     for part in location:
         if str(part).isdigit():

@@ -12,7 +12,7 @@ from slider_jax.simulation.trial import TrialRun
 
 SHOWN_STRIDES, FRAMES_PER_STRIDE = 2, 40
 ARROW = 50.0
-"""Length of the longest arrow [mm]."""
+"""Length of the longest force arrow [mm], on the scale of the axes."""
 
 
 def animate_run(
@@ -31,7 +31,7 @@ def animate_run(
 
 
 def _scene(run: TrialRun, steps: np.ndarray):
-    """Returns the figure, its moving artists, and a function that moves them to a step."""
+    """Returns the figure, its moving artists, and a function that draws them at a time step."""
     from matplotlib.collections import LineCollection
 
     line, moment = 1e3 * run.series["midline"], 1e3 * run.series["moment"]

@@ -1,4 +1,4 @@
-"""Computes the signature of an effect: the effect's change of the readings of one stride."""
+"""Computes the signature of an effect: the change of one stride's readings due to the effect."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -24,14 +24,14 @@ FREQUENCY = 4.8
 STRIDES = 8
 """Smallest number of simulated strides, so that the last stride is steady."""
 MAX_HALVINGS = 3
-"""Largest number of halvings of a parameter with which the simulation fails."""
+"""Largest number of halvings of a parameter's distance from its null after failed simulations."""
 
 Series = dict[str, np.ndarray]
-"""Readings of a stride in SI units; the keys are the columns of `CHANNELS`."""
+"""Readings (n,) of a stride in SI units, by CSV column of `CHANNELS`."""
 
 
 class Trace(NamedTuple):
-    """The last stride, with one parameter of the effect at `size` and the others at their nulls."""
+    """The last stride with one `parameter` at `size` and the effect's other parameters at null."""
 
     parameter: str
     size: float
@@ -51,9 +51,9 @@ class EffectSignature(NamedTuple):
     run: TrialRun
     """The simulation without the effect."""
     phase: np.ndarray
-    """Phase of the stride, as a fraction of a period; time [s] for a recorded drive."""
+    """Phase (n,) in the stride, as a fraction of a period; time [s] for a recorded drive."""
     without: Series
-    """The stride without the effect."""
+    """Readings of the stride without the effect."""
     traces: tuple[Trace, ...]
 
     def change(self, trace: Trace) -> Series:
@@ -66,7 +66,7 @@ class EffectSignature(NamedTuple):
 
 
 def built_in_experiment() -> Experiment:
-    """Returns the demo's robot at 4.8 Hz, with enough strides for a steady last stride."""
+    """Returns an experiment with the built-in robot and one trial of eight strides at 4.8 Hz."""
     robot, assumed = asdict(Robot()), paper.Assumed()
     K_Q = robot.pop("K_Q")
     C_d, m_a = map(float, paper.force_coefficients(FREQUENCY))
@@ -97,9 +97,9 @@ def effect_signature(
 ) -> EffectSignature:
     """Returns the signature of an effect in the experiment's first trial, for each parameter.
 
-    Each parameter has its `typical_size`. If the simulation fails, the distance from the null is
-    halved, up to three times. Raises `SolverError` if the last simulation fails. Shorter trials are
-    extended to eight strides.
+    Each parameter has its `typical_size`. If the simulation fails, the parameter's distance from
+    its null is halved, up to three times. Raises `SolverError` if the last simulation also fails. A
+    trial of fewer than eight strides is extended to eight strides.
     """
     trial = experiment.trials[0]
     if trial.frequency is not None:

@@ -33,7 +33,7 @@ def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None
 
 
 def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
-    """Plots all channels against time, with measured samples, if any, in grey."""
+    """Plots all simulated channels against time; measured samples are grey."""
     measured = run.prepared.measured or {}
     figure, axes = new_figure(len(CHANNELS), 1, figsize=(9, 10), sharex=True)
     for ax, channel in zip(axes, CHANNELS.values(), strict=True):
@@ -59,9 +59,9 @@ def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
 
 
 def last_strides(run: TrialRun, frames: int, strides: int = 1, closed: bool = False) -> np.ndarray:
-    """Returns `frames` evenly spaced step indices of the last `strides` strides (or seconds).
+    """Returns `frames` evenly spaced step indices of the last `strides` strides.
 
-    If `closed`, the indices include the last step.
+    For a recorded drive, a stride is one second. If `closed`, the indices include the last step.
     """
     begin = max(0, run.grid.steps - strides * run.grid.stride)
     return np.linspace(begin, run.grid.steps, frames, endpoint=closed).round().astype(int)

@@ -25,7 +25,7 @@ DEFINITIONS = {
 }
 
 STEADY, STEADY_THRUST = 0.01, 1e-3
-"""Strides agree if they differ by at most this fraction, or by at most this mean thrust [N]."""
+"""Largest difference between two strides that agree: as a fraction, or as a mean thrust [N]."""
 
 
 def averaging_window(run: TrialRun) -> tuple[slice, int]:
@@ -41,7 +41,7 @@ def averaging_window(run: TrialRun) -> tuple[slice, int]:
 
 
 def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
-    """Returns whether the last two strides agree (None: unknown), and a warning if they do not."""
+    """Returns whether the last two strides agree (None: unknown), and a warning or ""."""
     half, steps = run.grid.half_period, run.grid.steps
     if half is None:
         return None, ""
@@ -69,7 +69,7 @@ def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
 
 
 def rmse_to_measured(run: TrialRun) -> dict[str, float] | None:
-    """Returns the rms of simulated minus measured readings by column; None without a file."""
+    """Returns the rms of simulated minus measured readings by column; None without measurement."""
     columns = run.prepared.measured
     if columns is None:
         return None

@@ -26,14 +26,14 @@ from slider_jax.experiment.schema import Trial
 
 State = TypeVar("State")
 CHUNK = 250
-"""Number of steps per call of the compiled program. Trials of all lengths share this program."""
+"""Number of time steps per call of the compiled program, which trials of all lengths share."""
 
 
 @dataclass(frozen=True)
 class SavedSeries:
     """Selects the series that are saved at every step: the true reading of each channel.
 
-    If `shape`, three series for plots are added: `midline` (2, nodes) [m] relative to the head,
+    If `shape` is true, three series are added: `midline` (2, nodes) [m] relative to the head,
     `moment` (nodes,) [N m], and `force` (2, cells), the effects' force per length [N/m].
     """
 
@@ -53,7 +53,7 @@ class SavedSeries:
         }
 
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
-        """Returns the series at the start, without forces, for the `midline` (2, nodes) [m]."""
+        """Returns the series' initial values for the `midline` (2, nodes) [m], without forces."""
         values = {x.name: np.asarray(x.start(midline), float) for x in self.channels}
         values["p_front"] = np.asarray(model.drive.start_front)
         values["p_rear"] = np.asarray(model.drive.start_rear)
@@ -83,7 +83,7 @@ def advance_chunk(
     scheme: Scheme,
     steps: int,
 ) -> tuple[Any, Carry]:
-    """Runs `steps` steps of `h` [s] from `t0` [s]. Returns the saved series and the final carry."""
+    """Runs `steps` steps of `h` [s] from `t0` [s]. Returns the saved series and the final state."""
     times = TimeGrid(h, steps, t0)
     run = continued(begin, model, times, save, numerics, scheme)
     return run.saved, run.final
@@ -96,11 +96,11 @@ def run_chunks(
     chunk: int,
     after: Callable[[int, Any, State], None] = lambda done, saved, carry: None,
 ) -> tuple[list[Any], State]:
-    """Runs `steps` steps, rounded up to whole chunks. Returns the saved parts and the final carry.
+    """Runs `steps` steps from the state `carry`, rounded up to whole chunks of `chunk` steps.
 
-    `advance(done, carry)` runs the chunk after `done` steps and returns the chunk's saved series
-    and the new carry. `after(done, saved, carry)` is called after each chunk; `done` is the number
-    of completed steps, at most `steps`.
+    Returns each chunk's saved series, and the final state. `advance(done, carry)` runs the chunk
+    after `done` steps; it returns the chunk's saved series and the new state. `after(done, saved,
+    carry)` is called after each chunk; `done` is the number of completed steps, at most `steps`.
     """
     parts = []
     for done in range(0, steps, chunk):
@@ -116,11 +116,11 @@ class TrialRun:
 
     prepared: PreparedTrial
     series: dict[str, np.ndarray]
-    """Series of `SavedSeries` (steps + 1, ...), with the sensors' readings as channels."""
+    """Series of `SavedSeries` (steps + 1, ...). Channels contain the sensors' recorded readings."""
     columns: dict[str, np.ndarray]
     """CSV columns (samples,): t_s and every channel at the trial's sample times."""
     factorisations: int
-    """Number of factorisations of the Jacobian."""
+    """Number of factorisations of the Jacobian in the simulation."""
 
     @property
     def trial(self) -> Trial:

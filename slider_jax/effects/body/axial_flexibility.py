@@ -19,7 +19,7 @@ class AxialFlexibility(BodyChange):
     order = 300
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 4e-3, "1/N", "2e-3 for EI = 0.038 N m^2 and walls 8 mm from the midline"
+        0.0, 0.0, 4e-3, "1/N", "1/EA is 2e-3 for EI = 0.038 N m^2 and walls 8 mm from the midline"
     )
     """c, axial strain per axial force."""
 

@@ -22,7 +22,7 @@ class ClampCompliance(Mounting):
     compliance: Scalar = parameter(
         0.0, 0.0, 3.0, "rad/(N m)", "0 for a rigid clamp; 3 is a third of the body's L/EI"
     )
-    """c, the inverse of the clamp's stiffness [N m/rad]."""
+    """c, rotation of the clamp per moment."""
 
     def give(self, rates):
         zero = jnp.zeros_like(rates.M_t)

@@ -5,7 +5,7 @@ from slider_jax.effects.base import BendingMoment, parameter
 
 
 class CubicElasticity(BendingMoment):
-    """The stiffness of body and tail increases with curvature by the same relative amount.
+    """The bending stiffness increases with curvature, by the same fraction in body and tail.
 
         M = EI kappa (1 + b kappa^2)
 
@@ -17,7 +17,7 @@ class CubicElasticity(BendingMoment):
     order = 320
 
     b: Scalar = parameter(
-        0.0, -0.005, 0.1, "m^2", "at kappa = 3 1/m, the stiffness is 5 % smaller to twice as large"
+        0.0, -0.005, 0.1, "m^2", "at kappa = 3 1/m, the moment is 5 % smaller to 90 % larger"
     )
     """b, relative increase of the stiffness per squared curvature."""
 

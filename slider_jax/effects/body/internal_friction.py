@@ -7,7 +7,7 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, parameter
 
 FRICTION_CREEP = 1.0
-"""w [1/(m s)], 1 % of the curvature rate in a stride, so the smoothing hardly changes M."""
+"""w [1/(m s)], width of the smoothing of |d(kappa)/dt|: 1 % of the rate in a typical stride."""
 
 
 class InternalFriction(BendingMoment):
@@ -29,7 +29,7 @@ class InternalFriction(BendingMoment):
     )
     """z_c, largest friction moment."""
     kappa_c: Scalar = eqx.field(default=0.3)
-    """kappa_c [1/m], a tenth of the curvature in a stride."""
+    """kappa_c [1/m], curvature scale of q: a tenth of the curvature in a typical stride."""
 
     def moment(self, x, memory, dt):
         speed = jnp.sqrt(x.kappa_t**2 + FRICTION_CREEP**2)

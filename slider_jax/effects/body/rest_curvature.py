@@ -17,7 +17,7 @@ class RestCurvature(BendingMoment):
     order = 360
 
     m_0: Scalar = parameter(
-        0.0, -0.03, 0.03, "N m", "a curvature of 0.8 1/m after storage, or walls 10 % too thick"
+        0.0, -0.03, 0.03, "N m", "a rest curvature of 0.8 1/m, from storage or walls 10 % too thick"
     )
     """m_0, the moment that bends a straight body to its rest curvature. A positive m_0 bends the
     body in the same direction as a positive pressure."""

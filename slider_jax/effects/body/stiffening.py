@@ -9,8 +9,8 @@ class Stiffening(BendingMoment):
 
         M = EI kappa + beta kappa^3
 
-    The cubic term is the first odd term after the linear term. With a negative beta, the stiffness
-    decreases but is positive for 3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T.
+    The body is symmetric, so M has no quadratic term. With a negative beta, the stiffness decreases
+    with curvature and is positive for 3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T.
     (1979), Nonlinear Oscillations, Wiley, ch. 2.
     """
 

@@ -27,7 +27,7 @@ class SurgeCompliance(Mounting):
         "a soft sensor or strut has 1/c = 3 kN/m; a robot on a softer mounting bounces",
         3e-5,
     )
-    """c, compliance of the mounting, the inverse of its stiffness."""
+    """c, axial displacement of the head per force."""
 
     def give(self, rates):
         zero = jnp.zeros_like(rates.T_t)

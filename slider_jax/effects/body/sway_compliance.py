@@ -22,7 +22,7 @@ class SwayCompliance(Mounting):
     compliance: Scalar = parameter(
         0.0, 0.0, 1e-3, "m/N", "1e-3 for a thin strut, 1e-5 for a stiff stand", 1e-4
     )
-    """c, the inverse of the mounting's stiffness [N/m]."""
+    """c, lateral displacement of the head per force."""
 
     def give(self, rates):
         zero = jnp.zeros_like(rates.N_t)

@@ -5,12 +5,12 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ActuatorCubic(ActingPressure):
-    """The moment has a cubic part, the first odd term after the linear term.
+    """The moment of a chamber has a part that is cubic in the pressure p.
 
         p_act = p (1 + q p^2)
 
-    The relative change q p^2 of the moment is small at small pressures. `ActuatorSaturation` and
-    `ActuatorQuadratic` change the moment more at small pressures. Source: Polygerinos, P. et al.
+    p_act is the pressure that bends the body. At small pressures, `ActuatorSaturation` and
+    `ActuatorQuadratic` change the moment more than this effect does. Source: Polygerinos, P. et al.
     (2015), Modeling of soft fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
     """
 

@@ -24,7 +24,7 @@ class ActuatorHysteresis(ActingPressure):
     amplitude: Scalar = parameter(
         0.0, 0.0, 50e3, "Pa", "hysteresis of elastomer actuators is up to a third of the stroke"
     )
-    """A, half the height of a hysteresis loop with pressure changes far above w."""
+    """A, half the height of the hysteresis loop if the pressure changes by much more than w."""
     width: Scalar = eqx.field(default=50e3)
     """w [Pa], the change of pressure that reverses z."""
 

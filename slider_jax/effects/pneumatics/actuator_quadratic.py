@@ -7,13 +7,13 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ActuatorQuadratic(ActingPressure):
-    """The moment has a quadratic part, because pressure enlarges the chambers.
+    """The moment of a chamber has a part that is quadratic in the pressure p.
 
         p_act = p (1 + q |p|)
 
-    Cross-section and lever arm of a chamber increase. To first order in q, the effect equals
-    `ActuatorSaturation` with the opposite sign. Source: Polygerinos, P. et al. (2015), Modeling of
-    soft fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
+    Pressure enlarges the cross-section and the lever arm of a chamber. To first order in q, the
+    effect equals `ActuatorSaturation` with the opposite sign. Source: Polygerinos, P. et al.
+    (2015), Modeling of soft fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
     """
 
     title = "the actuators' moment grows faster than the pressure"

@@ -21,7 +21,7 @@ class ChamberCrosstalk(ActingPressure):
     share: Scalar = parameter(
         0.0, -0.1, 0.3, "-", "the chambers are 1 cm apart and have a common skin"
     )
-    """c, fraction of a chamber's moment that acts on the part around the other chamber."""
+    """c, fraction of a chamber's moment that acts on the body around the other chamber."""
 
     def act(self, p, memory, dt):
         return jnp.stack([p[0] + self.share * p[1], p[1] + self.share * p[0]]), memory

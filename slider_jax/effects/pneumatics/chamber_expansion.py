@@ -10,13 +10,13 @@ ATMOSPHERE = 101325.0
 
 
 class ChamberExpansion(Flow):
-    """A soft chamber expands under pressure, so the same flow changes p less.
+    """A soft chamber expands under pressure, so the same air flow changes the pressure less.
 
         dp/dt = (p_set - p)/k / (1 + c (p_a + 2 |p|))
 
-    V = V_0 (1 + c |p|) is the volume, p_a the atmospheric pressure and k the time constant of a
-    rigid chamber. The mass flow of the air is proportional to d((p_a + |p|) V)/dt. Source: mass
-    balance of a variable volume, Beater, P. (2007), Pneumatic Drives, Springer.
+    V_0 (1 + c |p|) is the volume V, p_a the atmospheric pressure and k the time constant of a rigid
+    chamber of the volume V_0. The mass flow of the air is proportional to d((p_a + |p|) V)/dt.
+    Source: mass balance of a variable volume, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
     title = "chambers expand under pressure"

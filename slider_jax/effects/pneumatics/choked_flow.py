@@ -20,7 +20,7 @@ class ChokedFlow(Flow):
     order = 90
 
     inverse: Scalar = parameter(0.0, 0.0, 1e-6, "s/Pa", "the limit R is at least 1 MPa/s")
-    """c = 1/R. At k = 87 ms, a step from -250 to 250 kPa needs a rate of 6 MPa/s."""
+    """c = 1/R. At k = 87 ms, a step from -250 to 250 kPa causes a rate r of 6 MPa/s."""
 
     def rate(self, rate, x):
         return rate / (1.0 + self.inverse * jnp.abs(rate))

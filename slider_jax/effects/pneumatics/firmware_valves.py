@@ -40,7 +40,7 @@ class FirmwareValves(ValvePair):
     critical: Scalar = parameter(0.3, 0.1, 0.6, "-", "0.2 to 0.5 for valves, 0.528 for a nozzle")
     """b, critical pressure ratio."""
     dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "short pulses do not lift the armature")
-    """Duty below which a valve stays closed."""
+    """Duty cycle below which a valve stays closed, as a fraction of full duty."""
 
     def flows(self, p):
         inside, supply = ATMOSPHERE + p, ATMOSPHERE + self.supply

@@ -6,7 +6,7 @@ from slider_jax.effects.functions import magnitude
 
 
 class FlowExponent(Flow):
-    """The flow through the valve is a power of the pressure difference with an exponent below 1.
+    """The flow through the valve is a power of the pressure difference, with the exponent 1 - b.
 
         dp/dt = (|e|/p_ref)^(-b) e/k,    e = p_set - p,    p_ref = 100 kPa
 

@@ -12,7 +12,7 @@ from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
 def characteristic(ratio: Array, b: Scalar) -> Array:
     """Returns psi(r), flow divided by choked flow, for r = downstream/upstream pressure.
 
-    psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for r > b,    1 for r <= b
+    psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for r > b,    1 for r <= b (the critical ratio)
     """
     beyond = jnp.clip((ratio - b) / (1.0 - b), 0.0, 1.0)
     left = 1.0 - beyond**2
@@ -28,8 +28,9 @@ class OrificeFlow(Flow):
         c = (p_a + |p|)/(p_a + p_s) psi(p_a/(p_a + |p|))            venting, chamber to atmosphere
 
     psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for r > b (subsonic flow), and 1 below the critical ratio
-    b. p_s is the supply's gauge pressure, and p_a the atmospheric pressure. Source: ISO 6358-1
-    (2013), Pneumatic fluid power: determination of flow-rate characteristics of components.
+    b. c is the flow of the open valve divided by the choked flow from the supply. p_s is the
+    supply's gauge pressure, and p_a the atmospheric pressure. Source: ISO 6358-1 (2013), Pneumatic
+    fluid power: determination of flow-rate characteristics of components.
     """
 
     title = "compressible flow through the valves"
@@ -40,7 +41,7 @@ class OrificeFlow(Flow):
     supply: Scalar = eqx.field(default=600e3)
     """p_s [Pa], gauge pressure of the supply."""
     critical: Scalar = eqx.field(default=0.3)
-    """b, critical pressure ratio [-]. The ratio of valves is 0.2 to 0.5."""
+    """b, critical pressure ratio [-] of psi: 0.2 to 0.5 for valves."""
 
     def rate(self, rate, x):
         inside, supply = ATMOSPHERE + jnp.abs(x.p), ATMOSPHERE + self.supply

@@ -34,7 +34,7 @@ class PulsedValves(ValvePair):
     )
     """p_s, gauge pressure of the supply."""
     dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "short pulses do not lift the armature")
-    """Duty below which a valve stays closed."""
+    """Duty cycle below which a valve stays closed, as a fraction of full duty."""
 
     def flows(self, p):
         return self.fill * jnp.maximum(self.supply - p, 0.0), self.vent * p

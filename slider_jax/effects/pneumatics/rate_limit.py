@@ -20,7 +20,7 @@ class RateLimit(Flow):
     inverse: Scalar = parameter(
         0.0, 0.0, 2e-6, "s/Pa", "the largest rate R is at least 0.5 MPa/s", 4e-7
     )
-    """1/R, inverse of the largest rate. At k = 87 ms, a step from -250 to 250 kPa needs 6 MPa/s."""
+    """1/R. At k = 87 ms, a step from -250 to 250 kPa without this limit causes 6 MPa/s."""
 
     def rate(self, rate, x):
         return limited(rate, self.inverse)

@@ -6,7 +6,7 @@ from slider_jax.effects.base import Command, parameter
 
 
 class RegulatorGain(Command):
-    """The set pressure at the valves is too large by a factor.
+    """The set pressure at the valves is too large by the factor 1 + g.
 
         p_set,valve = (1 + g) p_set
 

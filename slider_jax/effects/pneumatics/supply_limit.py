@@ -13,7 +13,7 @@ class SupplyLimit(Command):
         p_set,valve = p_set/(1 + c |p_set|)
 
     The delivered pressure never exceeds the supply pressure 1/c. At the null, the derivative with
-    respect to c is -|p_set| p_set; for a hard limit, the derivative is zero. Source: regulator
+    respect to c is -|p_set| p_set; it is zero for the hard limit `SupplyCap`. Source: regulator
     droop, Andersen, B. W. (1967), The analysis and design of pneumatic systems, Wiley.
     """
 

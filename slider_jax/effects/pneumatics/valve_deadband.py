@@ -22,7 +22,7 @@ class ValveDeadband(Flow):
     order = 110
 
     band: Scalar = parameter(
-        0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure; short pulses open no valve",
+        0.0, 0.0, 40e3, "Pa", "up to 1/8 of the largest set pressure; short pulses open no valve",
         12e3,
     )  # fmt: skip
     """d, the error below which the valves stay closed."""

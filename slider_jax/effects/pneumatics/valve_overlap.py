@@ -17,7 +17,7 @@ class ValveOverlap(Flow):
     title = "overlap of the valves"
     order = 120
 
-    band: Scalar = parameter(0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure", 8e3)
+    band: Scalar = parameter(0.0, 0.0, 40e3, "Pa", "up to 1/8 of the largest set pressure", 8e3)
     """d, the error below which the valve is closed."""
 
     def rate(self, rate, x):

@@ -5,7 +5,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class CameraScale(Instrument):
-    """The assumed scale in metres per pixel is too large by a factor.
+    """The assumed scale in metres per pixel is too large by the factor 1 + g.
 
         tip_read = (1 + g) tip
 
@@ -18,7 +18,7 @@ class CameraScale(Instrument):
     sensors = ("tip",)
 
     gain: Scalar = parameter(
-        0.0, -0.1, 0.1, "-", "the camera sees the ruler at another depth or through the surface"
+        0.0, -0.1, 0.1, "-", "the ruler was at another depth, or the surface refracts the light"
     )
     """g, relative error of the scale."""
 

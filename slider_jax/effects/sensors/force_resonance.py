@@ -16,7 +16,7 @@ class ForceResonance(Instrument):
 
     F is the true force. c is mass/stiffness, so the natural frequency is 1/(2 pi sqrt(c)). With the
     fixed damping rate b, the damping ratio is b sqrt(c)/2. The reading is a smooth function of c at
-    c = 0. Houbolt's backward difference in time is of second order and stable for any step. If the
+    c = 0. Houbolt's backward differences in time are second-order and stable for any step. If the
     natural frequency is too high for the sample rate, the reading equals the force.
 
     Source: second-order instruments, Doebelin, E. O. (2003), Measurement Systems, 5th ed.,
@@ -36,7 +36,7 @@ class ForceResonance(Instrument):
     """b [1/s]. With the default, the damping ratio is 0.1 for a resonance at 16 Hz."""
 
     def follow(self, before: tuple[Array, Array, Array], F: Array, dt: Array) -> Array:
-        """Returns the reading [N] at F [N]. `before`: last three readings, the latest first."""
+        """Returns the next reading [N] at F [N]. `before`: last three readings, latest first."""
         inertia = self.mass_over_stiffness / dt**2
         damping = self.mass_over_stiffness * self.damping_rate / (6.0 * dt)
         x1, x2, x3 = before

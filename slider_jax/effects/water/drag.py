@@ -8,13 +8,13 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class NormalDrag(ForceDensity):
-    """Drag of the flow across the body, which separates from the body.
+    """Drag of the flow across the body. The flow separates from the body.
 
         F_n = -rho C_d H |u_n| u_n / 2
 
     H is the height of the robot and u_n the lateral velocity relative to the water. Source: Taylor,
     G. (1952), Analysis of the swimming of long and narrow animals, Proc. R. Soc. A 214, 158-183;
-    the paper's equation for F_d.
+    the equation for F_d of the paper in `slider_jax.paper`.
     """
 
     title = "drag of the crossflow"

@@ -9,7 +9,7 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import ForceDensity, parameter
 
 MIN_KC = 0.3
-"""Smallest KC, so that the coefficient is finite. The stroke amplitude is then about H/20."""
+"""Smallest KC (a stroke amplitude of about H/20). This limit keeps the drag coefficient finite."""
 
 
 class KeuleganCarpenterDrag(ForceDensity):
@@ -29,7 +29,7 @@ class KeuleganCarpenterDrag(ForceDensity):
     order = 500
 
     C: Scalar = parameter(
-        0.0, 0.0, 10.0, "-", "8 for a plate with sharp edges, less with round edges or large C_d"
+        0.0, 0.0, 10.0, "-", "8 for a plate with sharp edges; smaller for round edges or large C_d"
     )
     """C, drag coefficient at KC = 1."""
     stride_frequency: Scalar = eqx.field(default=5.0)

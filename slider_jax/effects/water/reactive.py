@@ -22,7 +22,7 @@ class ReactiveForce(ForceDensity):
     head; docs/explanation/decisions.md explains why the base model omits this force.
 
     Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
-    R. Soc. B 179, 125-138; the paper's equations for F_a.
+    R. Soc. B 179, 125-138; the equations for F_a of the paper in `slider_jax.paper`.
     """
 
     title = "reactive force of the added mass"

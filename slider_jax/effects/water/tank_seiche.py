@@ -14,17 +14,17 @@ class TankSeiche(WaterMotion):
 
         U_x = a_cos cos(2 pi f t) + a_sin sin(2 pi f t),    (2 pi f)^2 = g k tanh(k h),  k = pi/l
 
-    l is the length of the tank, and h is the depth of the water. The force of the wave's pressure
-    gradient on the body is omitted. Source: Lamb, H. (1932), Hydrodynamics, 6th ed., ch. IX.
+    l is the tank's length, h the water depth and k the wavenumber. The model omits the force of the
+    wave's pressure gradient on the body. Source: Lamb, H. (1932), Hydrodynamics, 6th ed., ch. IX.
     """
 
     title = "the tank's water sloshes"
     order = 530
 
     a_cos: Scalar = parameter(0.0, -0.02, 0.02, "m/s", "the surface moves by some mm")
-    """Velocity amplitude of the cosine."""
+    """Amplitude of the cosine in U_x."""
     a_sin: Scalar = parameter(0.0, -0.02, 0.02, "m/s", "the surface moves by some mm")
-    """Velocity amplitude of the sine."""
+    """Amplitude of the sine in U_x."""
     frequency: Scalar = eqx.field(default=0.76)
     """Frequency f [Hz]; the default is for a tank 1 m long and 0.3 m deep."""
 
