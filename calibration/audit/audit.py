@@ -1,7 +1,7 @@
-"""The audit of measured trials: faults of instruments and files, before any fit.
+"""Finds faults of instruments and files in measured trials, before any model is fitted.
 
 The audit reads the rows, sorts the times, checks the sensors, and compares the pressures with the
-drive. If a prediction is available, the audit also compares forces and tip with the prediction. The
+drive. If a model's prediction is available, the audit also compares forces and tip with it. The
 audit repairs unambiguous faults, masks (ignores) faulty readings, and excludes unusable trials.
 Most checks compare a trial with the other trials. A deviation that all trials share is no fault,
 because a missing effect of the model may cause this deviation.
@@ -98,7 +98,7 @@ def _within_duration(
 ) -> tuple[list[Record], list[Finding]]:
     """Returns the records without samples outside the trial's duration, and findings.
 
-    If a trial's sample rate differs from the declared `rate` [Hz], a finding reports this.
+    A finding reports a trial whose sample rate differs from the declared `rate` [Hz] by over 5 %.
     """
     kept, findings = [], []
     for r in records:
@@ -123,7 +123,7 @@ def _within_duration(
 
 
 def _without_copies(records: Sequence[Record]) -> tuple[list[Record], list[Finding]]:
-    """Returns the records whose readings are not copies of another trial, and findings."""
+    """Returns the records whose forces and tip are not copies of an earlier trial, and findings."""
     kept: list[Record] = []
     findings = []
     for r in records:
@@ -131,7 +131,7 @@ def _without_copies(records: Sequence[Record]) -> tuple[list[Record], list[Findi
         if original is None:
             kept.append(r)
             continue
-        detail = f"the readings equal those of {original.trial.file}"
+        detail = f"forces and tip have the same readings as in {original.trial.file}"
         findings.append(Finding(r.trial.file, "copied", None, None, None, detail, "left out"))
     return kept, findings
 

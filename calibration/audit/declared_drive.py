@@ -1,4 +1,4 @@
-"""Reports trials whose clock, frequency, phase, amplitude or start differs from the declaration."""
+"""Reports trials whose clock, frequency, phase, amplitude or start is not as declared."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,14 +29,14 @@ from slider_jax.channels import BUILT_IN
 SKEW = 0.004
 """Smallest relative frequency error that is a fault. Slow transients may cause smaller errors."""
 MAX_SKEW = 0.03
-"""Largest relative frequency error that a clock may cause. A larger error means another drive."""
+"""Largest relative frequency error of a skewed clock. A larger error counts as a wrong drive."""
 WRONG_DRIVE = 0.8
-"""A pressure has another drive if its relative fit residual exceeds this at every lag and delay."""
+"""A drive is wrong if a pressure's relative residual exceeds this value at every lag and delay."""
 STRANGE, TIMES = 0.25, 6.0
-"""A residual above `STRANGE` is sufficient if it also exceeds `TIMES` times the trials' median."""
+"""A drive is also wrong if the residual exceeds `STRANGE` and `TIMES` times the trials' median."""
 WRONG_AMPLITUDE = np.log(1.25)
 FITS = 0.1
-"""The delay of a trial's pressures is determined if the relative fit residual is below this."""
+"""A trial's delay is checked only if the relative residual of its pressures is below this value."""
 LATE = 0.02
 """Largest accepted difference of a trial's delay from the delay of the other trials [s]."""
 WRONG_PHASE = 0.05
@@ -48,7 +48,7 @@ def check_clocks(
 ) -> tuple[list[Record], list[Finding]]:
     """Returns the usable records with corrected clocks, and findings.
 
-    The frequency of the pressures shows the clock's error. `rate` [Hz] is the declared sample rate.
+    The pressures' frequency reveals the clock's error. `rate` [Hz] is the declared sample rate.
     """
     clocks = [_clock(r) for r in records]
     known = [p.off for p in clocks if p is not None]

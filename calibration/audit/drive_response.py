@@ -1,4 +1,4 @@
-"""Fits the pressures of all trials with a first-order lag's response to the declared drives."""
+"""Compares all trials' pressures with a first-order lag's response to the declared drives."""
 
 from collections.abc import Sequence
 
@@ -17,13 +17,13 @@ from slider_jax.channels import BUILT_IN, CHANNELS
 
 NAMES = tuple(CHANNELS[name].column for name in BUILT_IN)
 MAX_RESIDUAL = 0.6
-"""A pressure responds to a drive if the fit residual's rms is below this fraction of its rms."""
+"""A pressure responds to a drive if its relative fit residual (`LagFits`) is below this value."""
 STRIDES = 1.2
 """Smallest number of settled strides from which a fundamental (first harmonic) is computed."""
 
 
 class DriveResponses:
-    """The fits of all trials, and the one lag and delay that fit most trials."""
+    """Fits of all trials, and the common lag and delay with the smallest median residual."""
 
     def __init__(self, records: Sequence[Record]):
         chambers = driven_chambers(records)
@@ -32,7 +32,7 @@ class DriveResponses:
         median = np.median(best.reshape(-1, *best.shape[2:]), axis=0)
         lag, delay = np.unravel_index(int(median.argmin()), median.shape)
         self.at = int(lag), int(delay)
-        """Indices of the common lag and delay."""
+        """Indices of the common lag and delay in `TIME_CONSTANTS` and `DELAYS`."""
 
     def gain(self, i: int) -> np.ndarray:
         """Returns trial i's gains (2 or 5 columns, 2 drives) at the common lag and delay."""

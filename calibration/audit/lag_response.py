@@ -1,4 +1,4 @@
-"""Fits measured series with the response of a first-order lag to the declared drive.
+"""Fits the response of a first-order lag, driven by the declared drive, to measured series.
 
 Each fit has a free gain and a free slow drift. The audit uses one time constant and one delay for
 all trials, so that a physical effect that all trials share does not count as a fault.
@@ -16,15 +16,15 @@ TIME_CONSTANTS = np.geomspace(0.02, 0.5, 14)
 DELAYS = np.linspace(-0.01, 0.11, 13)
 """Candidate delays of the pressure behind the lag's response [s]."""
 SETTLED = 0.5
-"""Time from the start of the drive until the start no longer affects the phase of a cycle [s]."""
+"""Time [s] after the drive's start. The phases of later cycles do not depend on the start."""
 TWO_CYCLE_ERROR = 2e-3
-"""Standard error that is assumed for a phase drift from only two cycles [rad per cycle]."""
+"""Assumed standard error of a phase drift that is measured on two cycles [rad per cycle]."""
 MAX_SAMPLES = 300
-"""Number of samples of a series in a fit. Longer series are thinned."""
+"""Approximate number of samples of a series that a fit uses. Longer series are thinned."""
 
 
 class DeclaredDrive(NamedTuple):
-    """A chamber's set pressure as declared."""
+    """Declared set pressure of a chamber: frequency [Hz], amplitude [Pa], phase, rise [periods]."""
 
     waveform: str
     frequency: float
@@ -47,7 +47,7 @@ class DeclaredDrive(NamedTuple):
 
 
 def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
-    """Returns a trial's front and rear drive; None if a drive is zero or `recorded`."""
+    """Returns a trial's front and rear drive; None if the drive is zero or recorded."""
     f, amplitude = trial.frequency, trial.amplitude
     if trial.waveform == "recorded" or not f or not amplitude or not trial.rear_ratio:
         return None
@@ -61,7 +61,7 @@ def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
 def _lag_responses(
     drive: DeclaredDrive, duration: float, time_constants: np.ndarray
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Returns times (n,) [s] and each time constant's response (n,) to a drive of amplitude 1."""
+    """Returns times (n,) [s] and the lag's response (n,) to a unit drive for each time constant."""
     spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
     t = spacing * np.arange(int(np.ceil(duration / spacing)) + 2)
     set_point, keep = drive.unit(t + 0.5 * spacing), np.exp(-spacing / time_constants)
@@ -70,7 +70,7 @@ def _lag_responses(
 
 
 class LagFits(NamedTuple):
-    """Fits of m series with the response to each drive, for all time constants and delays.
+    """Fits of m series with the lag's response to each drive, for all time constants and delays.
 
     `gain` is the signed ratio of a series to the response. `residual` is the fit residual's rms
     divided by the series' rms. Both arrays have the shape (m, 2 chambers, time constants, delays).
@@ -100,7 +100,7 @@ def fit_lags(
     every = max(1, len(t) // MAX_SAMPLES)
     for j, drive in enumerate(chambers):
         times, responses = _lag_responses(drive, float(t[-1]) + 0.02, time_constants)
-        regressors: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # key: rows with readings
+        regressors: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # key: sample indices
         for i, series in enumerate(values):
             there = np.flatnonzero(np.isfinite(series))
             there = there[:: max(1, min(every, len(there) // 60))]
@@ -123,16 +123,16 @@ def fit_lags(
 
 
 class PeriodRatio(NamedTuple):
-    """Relative error of a frequency (positive: above the declared one), and its standard error."""
+    """Relative error of a frequency (positive: above the declared value) and its standard error."""
 
     off: float
     error: float
 
 
 def period_ratio(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None:
-    """Returns the error of y's frequency relative to `frequency` [Hz]; None for < 2 cycles.
+    """Returns the relative deviation of y's frequency from `frequency` [Hz]; None for < 2 cycles.
 
-    The phase drift of the fundamental shows the error. A distortion that all cycles share,
+    The phase drift of the fundamental gives the deviation. A distortion that all cycles share,
     such as lag, delay or saturation, does not change the result. The first cycles are not used.
     """
     faster, found = 1.0, None
@@ -172,7 +172,7 @@ def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None
 
 
 def settling_time(t: np.ndarray) -> float:
-    """Returns the time [s] until a pressure counts as periodic: `SETTLED` or 30 % of the trial."""
+    """Returns the time [s] after which a pressure counts as periodic, at most 30 % of the trial."""
     return min(SETTLED, 0.3 * float(t[-1]))
 
 
@@ -196,7 +196,7 @@ def leave_one_out(
     """Returns, for each y (n,), the deviation from a fit to all other y, and its standard error.
 
     The fit is a plane with the variables `x` (n, p). `slopes` (p,) are prior standard deviations of
-    the plane's slopes. `floor` is the smallest scatter that is assumed about the plane.
+    the plane's slopes. `floor` is the smallest assumed scatter of y about the plane.
     """
     found = []
     for i in range(len(y)):

@@ -1,7 +1,7 @@
-"""Compares forces and tip with a prediction (columns, units, signs), and reports outlier trials.
+"""Finds wrong columns, units and signs of forces and tip, and outlier trials.
 
-The starting model predicts the readings. An inaccurate prediction is sufficient: a wrong unit, a
-wrong sign or swapped columns are evident without the exact parameters.
+The audit compares the readings with the starting model's prediction. An inaccurate prediction is
+sufficient: a wrong unit, a wrong sign or swapped columns are evident without exact parameters.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,30 +17,30 @@ from slider_jax.channels import BUILT_IN
 from slider_jax.experiment.schema import Trial
 
 BODY = (2, 3, 4)
-"""Rows of thrust, recoil and tip."""
+"""Indices of thrust, recoil and tip in the readings (channels, n)."""
 LAGS = np.arange(-0.03, 0.1, 0.01)
 """Candidate delays of a sensor [s]. A delay that is the same in all trials is no fault."""
 CLEAR = 0.8
-"""Smallest correlation with the prediction that identifies a channel."""
+"""Smallest absolute correlation with the prediction that identifies a channel."""
 COMPARABLE = 0.7
-"""Smallest correlation that a channel must have in the other trials before it is checked."""
+"""A channel is checked only if its correlation in the other trials is at least this value."""
 MARGIN = 0.5
-"""Columns count as swapped if the exchange raises the sum of correlations by more than this."""
+"""Columns are swapped if an exchange raises the sum of correlations by more than this value."""
 STRANGE = 0.4
-"""A channel does not belong to a trial if its correlation is below this value at every delay."""
+"""A channel of a trial is masked if its correlation is below this value at every delay."""
 UNIT_MARGIN = np.log10(3.0)
 """A unit is wrong if log10(measured/predicted size) differs from 3 or -3 by less than this."""
 SMALL = {1e3: ("mN", "mN", "mm"), 1e-3: ("kN", "kN", "km")}
-"""Wrong units of thrust, recoil and tip. Each key is the number in the unit for 1 N or 1 m."""
+"""Wrong units of thrust, recoil and tip. Each key is the value of 1 N or 1 m in these units."""
 OUTLIER = 30.0
 """Smallest ratio of an outlier's mean square residual to the median of the other trials."""
 BEYOND = 4.0
-"""Smallest ratio of an outlier's mean square residual to the largest one of the other trials."""
+"""Smallest ratio of an outlier's mean square residual to the largest in any other trial."""
 
 
 @dataclass(frozen=True)
 class _Correlations:
-    """Correlations and size ratios of measured and predicted channels, for all trials."""
+    """Records with predicted readings (channels, n), and delays [s] of the channels in `BODY`."""
 
     pairs: list[tuple[Record, np.ndarray]]
     lags: list[float]
@@ -60,7 +60,7 @@ class _Correlations:
 
 
 def _common_lag(pairs: Sequence[tuple[Record, np.ndarray]], row: int) -> float:
-    """Returns the delay [s] of a predicted row with the largest correlation to measurements."""
+    """Returns the delay [s] at which a predicted row correlates best with the measured columns."""
     table = [
         [max(abs(_correlation(r, p, c, row, x)) for c in BODY) for x in LAGS] for r, p in pairs
     ]
@@ -123,7 +123,7 @@ def _columns(of: _Correlations) -> tuple[list[Record], list[Finding]]:
 def _order(C: np.ndarray) -> tuple[int, ...]:
     """Returns the column of each channel, from the correlations `C` (3 columns, 3 channels).
 
-    The order in the file is kept unless another order has a sum larger by `MARGIN`.
+    Another order than the file's must raise the sum of correlations by more than `MARGIN`.
     """
     best = max(permutations(range(3)), key=lambda order: _total(C, order))
     return best if _total(C, best) > _total(C, (0, 1, 2)) + MARGIN else (0, 1, 2)
@@ -158,8 +158,8 @@ def _units(of: _Correlations) -> tuple[list[Record], list[Finding]]:
         values = r.values.copy()
         for x, row in enumerate(BODY):
             ratio = next((f for f in SMALL if abs(sizes[i, x] - np.log10(f)) < UNIT_MARGIN), None)
-            # A wrong model may also scale a channel. So a size must be normal: of this channel in
-            # some trial, or of another channel in this trial.
+            # A wrong model may also scale a channel. So a unit is wrong only if this channel has a
+            # normal size in another trial, or another channel has a normal size in this trial.
             if ratio is None or not (ordinary[:, x].any() or ordinary[i].any()):
                 continue
             unit, name = SMALL[ratio][x], NAMES[row]
@@ -174,7 +174,7 @@ def _units(of: _Correlations) -> tuple[list[Record], list[Finding]]:
 
 
 def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
-    """Masks a channel in the only trial in which its prediction is wrong, and reports a finding."""
+    """Masks a channel in the only trial that the prediction does not fit, and adds a finding."""
     n = len(of.pairs)
     table = np.array([[of.correlation(i, x, x) for x in BODY] for i in range(n)]).reshape(n, 3)
     kept, findings = [], []
@@ -205,7 +205,7 @@ def residual_outliers(
 
     `mean_squares` maps a channel to the mean square (n,) of the whitened residual in each trial
     after the last fit. NaN marks trials without the channel. Trends with frequency, amplitude and
-    tow speed may be physical, and are removed. Channels of fewer than five trials are not checked.
+    tow speed may be physical, and are removed. A channel is checked only with five or more trials.
     """
     found = []
     slow = [abs(t.tow_speed) for t in trials]

@@ -1,7 +1,7 @@
-"""Compares measured pressures with the declared drives: columns, units, signs, settings.
+"""Finds wrong columns, units, signs and settings of pressures by comparison with the drives.
 
 The comparison uses one lag, one delay and one gain for all trials. A deviation that all trials
-share is no fault, unless the deviation is a wrong unit, a wrong sign or a swap of columns.
+share counts as a fault only if it is a wrong unit, a wrong sign or a swap of columns.
 """
 
 from collections.abc import Sequence
@@ -24,9 +24,9 @@ from calibration.measurements.records import Finding, Record
 from slider_jax.channels import BUILT_IN
 
 UNITS = {1e-3: "kPa", 1e3: "mPa", 1.0 / 6894.757: "psi", 1e-5: "bar", 1e-6: "MPa"}
-"""Names of units. Each key is the number in the unit that equals 1 Pa."""
+"""Names of wrong units. Each key is the value of 1 Pa in the unit."""
 UNIT_MARGIN = np.log(1.6)
-"""Largest difference of ln(gain) from ln(key of `UNITS`). The keys differ by factors >= 6.9."""
+"""Largest |ln(gain/key)| that identifies a unit. The keys of `UNITS` differ by factors >= 6.9."""
 
 
 def check_pressures(
@@ -98,8 +98,8 @@ def _units(
             unit = min(UNITS, key=lambda u: abs(np.log(ratio / u)))
             if abs(np.log(ratio / unit)) < UNIT_MARGIN:
                 detail = (
-                    f"{NAMES[c]} is {ratio:.4g} times its response to the drive: the numbers are "
-                    f"in {UNITS[unit]}, and were multiplied by {1.0 / unit:.6g}"
+                    f"{NAMES[c]} is {ratio:.4g} times the expected response to the drive: the "
+                    f"numbers are in {UNITS[unit]}, and were multiplied by {1.0 / unit:.6g}"
                 )
                 values[c] /= unit
                 findings.append(trial_finding(r, "units", BUILT_IN[c], detail, "mended"))
@@ -131,14 +131,14 @@ def _front_and_rear(
         if not s:
             kept.append(r)
             continue
-        detail = "p_front_Pa and p_rear_Pa are swapped: each follows the other chamber's drive"
+        detail = "p_front_Pa and p_rear_Pa are swapped: each fits the other chamber's drive"
         findings.append(trial_finding(r, "swapped_columns", "p_front, p_rear", detail, "mended"))
         kept.append(replace(r, values=np.concatenate([r.values[1::-1], r.values[2:]])))
     return kept, findings
 
 
 def _swapped_by_phase(r: Record, found: tuple[float, float] | None) -> bool | None:
-    """Returns whether the phase shows that the columns are swapped; None if it is inconclusive."""
+    """Returns whether the phase shows swapped columns; None if the phase is inconclusive."""
     if found is None or abs(wrapped(2.0 * r.trial.phase)) < 0.1:
         return None
     straight, crossed = (abs(wrapped(found[0] - s * r.trial.phase)) for s in (1.0, -1.0))

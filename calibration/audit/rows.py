@@ -1,4 +1,4 @@
-"""Reads the rows of a measured trial's CSV and drops damaged rows."""
+"""Reads the rows of a measured trial's CSV file and drops damaged rows."""
 
 import csv
 import math
@@ -13,12 +13,12 @@ from slider_jax.errors import InputError
 from slider_jax.io.toml import read_bytes
 
 MAX_BAD_SHARE = 0.5
-"""A file with a larger fraction of damaged rows is excluded."""
+"""Largest fraction of damaged rows in a file that is used."""
 MIN_ROWS = 20
 
 
 class Rows(NamedTuple):
-    """The times (n,) and the other columns (channels, n) of a file, in the file's order."""
+    """Times (n,) and readings (channels, n) of a trial's file, in the order of the file's rows."""
 
     t: np.ndarray
     values: np.ndarray
@@ -40,7 +40,7 @@ class Unusable(Exception):
 
 
 def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
-    """Returns the readable rows of a trial's CSV, and findings on the other rows.
+    """Returns the readable rows of a trial's CSV file, and findings on the file's faults.
 
     Cells that are blank or not finite numbers become NaN. Raises `Unusable` if the time column is
     missing or too few rows are readable.
@@ -80,7 +80,7 @@ def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
 
 def _check_header(name: str, header: list[str]) -> list[Finding]:
     if "t_s" not in header:
-        detail = f"the first line has no column t_s; it has the columns {', '.join(header)[:80]}"
+        detail = f"the first line has no column t_s; its columns are {', '.join(header)[:80]}"
         raise Unusable(name, "missing_column", detail)
     repeated = sorted({x for x in channel_columns() if header.count(x) > 1})
     if repeated:
@@ -109,8 +109,8 @@ def _whole_rows(name, header, numbered) -> tuple[list[list[str]], list[Finding]]
             lines.append(line)
     if lines:
         detail = (
-            f"{len(lines)} rows do not have {len(header)} cells and are dropped; the first one "
-            f"is line {lines[0]}"
+            f"{len(lines)} rows do not have {len(header)} cells and are dropped; the first such "
+            f"row is line {lines[0]}"
         )
         findings.append(Finding(name, "bad_row", None, None, None, detail, "masked"))
     return whole, findings

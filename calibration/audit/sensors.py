@@ -1,8 +1,8 @@
 """Finds faults of one sensor: stuck or clipped readings, spikes, missing readings.
 
-Repeated readings are a fault only if they are improbable with the noise and the quantisation of the
-sensor. For example, a faultless sensor may repeat a quantised reading of a constant pressure. If
-the measured quantity saturates but the sensor is not clipped, the readings still vary by noise.
+Equal successive readings are a fault only if the noise and the quantisation of the sensor make them
+improbable. For example, a faultless sensor may repeat a quantised reading of a constant pressure.
+If the measured quantity saturates but the sensor is not clipped, noise still varies the readings.
 """
 
 import math
@@ -14,19 +14,19 @@ from scipy.special import ndtr
 from calibration.measurements.records import Finding, masked_finding
 
 IMPOSSIBLE = 1e-6
-"""Repeated readings are a fault if their probability in a whole series is below this value."""
+"""Equal successive readings are a fault if their probability in a series is below this value."""
 MIN_REPEATS = 5
 """Smallest number of equal successive readings that count as a stuck sensor."""
 SPIKE = 15.0
 """A spike differs from its neighbours by at least this many standard deviations of the noise."""
 BRIDGED = 5
-"""Up to this many readings between two clipped readings count as clipped."""
+"""Readings between two clipped readings, at most this many samples apart, count as clipped."""
 MIN_SHARE = 1.0 / 3.0
 """A channel is not used if less than this fraction of its readings is free of faults."""
 
 
 class Quantisation(NamedTuple):
-    """White noise (as a standard deviation) and quantisation step of a series of readings."""
+    """White noise and quantisation step of a series of readings, in the unit of the readings."""
 
     noise: float
     """Smallest plausible standard deviation of the noise."""
@@ -36,17 +36,17 @@ class Quantisation(NamedTuple):
 
     @property
     def repeat(self) -> float:
-        """Returns the largest probability that two readings of a constant signal are equal."""
+        """Returns the largest probability of two equal successive readings of a constant signal."""
         if self.noise <= 0.0:
             return 1.0
         return float(2.0 * ndtr(0.5 * self.step / self.noise) - 1.0)
 
 
 def quantisation(values: np.ndarray, declared: float) -> Quantisation:
-    """Returns the noise and the step of readings (n,) without NaN.
+    """Returns noise and quantisation step of the readings `values` (n,), which contain no NaN.
 
-    `declared` is the noise's declared standard deviation, or 0. The noise is measured in the parts
-    of the series where the signal varies least but is not constant, to exclude motion.
+    `declared` is the noise's declared standard deviation (0: not declared). To exclude motion, the
+    noise is estimated where the signal varies least without being constant.
     """
     step = _step_of(values)
     apart = np.abs(np.diff(values, 4)) / math.sqrt(math.comb(8, 4))
@@ -64,7 +64,7 @@ def quantisation(values: np.ndarray, declared: float) -> Quantisation:
 
 
 def _step_of(values: np.ndarray) -> float:
-    """Returns the quantisation step, of which most differences of readings (n,) are multiples."""
+    """Returns the quantisation step. Most differences of readings (n,) are multiples of it."""
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-12 * max(float(np.ptp(values)), 1e-300)]
     if not steps.size:
@@ -78,15 +78,15 @@ def _step_of(values: np.ndarray) -> float:
 
 
 def stuck(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Returns, for each reading (n,), whether a stuck sensor repeats the previous reading."""
+    """Returns a mask (n,) of the readings that repeat the previous reading of a stuck sensor."""
     n = len(values)
     edges = np.r_[0, np.flatnonzero(np.diff(values)) + 1, n]
     bad = np.zeros(n, bool)
     longest, rest = math.inf, 1e-9 * float(np.abs(values).max())
-    if g.noise > 0.0 and g.repeat <= 0.9999:  # a longer repetition is improbable
+    if g.noise > 0.0 and g.repeat <= 0.9999:  # noise makes longer runs improbable
         longest = max(MIN_REPEATS, math.ceil(math.log(IMPOSSIBLE / n) / math.log(g.repeat)) + 1)
     for a, b in zip(edges[:-1], edges[1:], strict=True):
-        if abs(values[a]) < rest:  # before the start, correct readings may be 0
+        if abs(values[a]) < rest:  # before the drive starts, correct readings may be 0
             continue
         if b - a >= longest or (b - a >= MIN_REPEATS and _ends_with_jump(values, a, b, g)):
             bad[a + 1 : b] = True
@@ -94,7 +94,7 @@ def stuck(values: np.ndarray, g: Quantisation) -> np.ndarray:
 
 
 def _ends_with_jump(values: np.ndarray, a: int, b: int, g: Quantisation) -> bool:
-    """Returns whether the signal jumps after the equal values[a:b], and varies before and after.
+    """Returns whether the signal jumps after the equal values[a:b], and varies around this run.
 
     While a sensor is stuck, the measured quantity continues to change. So the first correct reading
     differs from the stuck readings by more than nearby readings differ from each other.
@@ -110,7 +110,7 @@ def _ends_with_jump(values: np.ndarray, a: int, b: int, g: Quantisation) -> bool
 
 
 def clipped(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Returns, for each reading (n,), whether the reading is at a limit of the sensor's range.
+    """Returns a mask (n,) of the readings at a limit of the sensor's range.
 
     A limit is an extreme value that occurs more often than the neighbouring values. With an
     unclipped sensor, noise would make some readings exceed this value.
@@ -134,13 +134,13 @@ def clipped(values: np.ndarray, g: Quantisation) -> np.ndarray:
             for a, b in zip(places[:-1], places[1:], strict=True):
                 bad[a:b] |= b - a <= BRIDGED
             ends.append(top)
-    if len(ends) == 1:  # the range of a sensor is often symmetric
+    if len(ends) == 1:  # the range of a sensor is often symmetric about zero
         bad |= np.abs(values) == ends[0]
     return bad
 
 
 def spikes(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Returns, for each reading (n,), whether it is in a spike of one to three readings."""
+    """Returns a mask (n,) of the readings in spikes. A spike consists of one to three readings."""
     bad = np.zeros(len(values), bool)
     mirrored = np.pad(values, 4, "reflect")
     for width in (1, 2, 3):
@@ -159,7 +159,7 @@ def spikes(values: np.ndarray, g: Quantisation) -> np.ndarray:
 
 
 def _leaves_range(values: np.ndarray, a: int, b: int) -> bool:
-    """Returns whether values[a:b] exceed the range of all other readings by half of that range.
+    """Returns whether values[a:b] exceed the range of all other readings by half its width.
 
     A spike at an end of the series must pass this test, because such a spike has neighbours on one
     side only. Without the test, the start from rest would count as a spike.
@@ -178,7 +178,7 @@ def check_sensor(
     declared: float,
     rows: np.ndarray | None = None,
 ) -> tuple[np.ndarray, list[Finding]]:
-    """Returns a channel's readings (n,) with NaN for faults, and findings.
+    """Returns a channel's readings (n,) with NaN for faulty readings, and findings.
 
     `t` (n,) are the times [s], `declared` is the noise's standard deviation (0: unknown), and
     `rows` (n,) marks the rows that the file contains (default: all).
@@ -206,7 +206,7 @@ def check_sensor(
             findings.append(masked_finding(trial, kind, channel, at, bad, text))
             kept &= ~bad
     if kept.sum() < max(MIN_SHARE * len(there), 20):
-        detail = f"too few readings of {channel} are faultless; this channel of the trial is masked"
+        detail = f"too few readings of {channel} are faultless; the channel is masked in this trial"
         findings.append(Finding(trial, "channel_lost", channel, *span, detail, "masked"))
         kept[:] = False
     usable[there[~kept]] = np.nan
@@ -219,11 +219,11 @@ def _description(kind: str, channel: str, values: np.ndarray) -> str:
     if kind == "clipped":
         ends = sorted({float(values.min()), float(values.max())})
         return f"{channel} is clipped at {' and '.join(f'{x:.4g}' for x in ends)}"
-    return f"{channel} is stuck: its readings are equal for longer than its noise makes plausible"
+    return f"{channel} is stuck: it repeats one reading for longer than its noise allows"
 
 
 def _frames(trial: str, channel: str, t: np.ndarray, values: np.ndarray) -> list[Finding]:
-    """Returns a finding on gaps. A channel may regularly have a reading in every nth row only."""
+    """Returns a finding on missing readings. A reading in every nth row only is no fault."""
     there = np.flatnonzero(np.isfinite(values))
     steps = np.diff(there)
     usual = int(np.median(steps))

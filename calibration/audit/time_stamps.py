@@ -9,13 +9,13 @@ from calibration.measurements.records import Finding, true_runs
 from slider_jax.experiment.schema import Trial
 
 JITTER = 0.2
-"""Largest rms deviation of the time stamps from a regular grid, as a fraction of its spacing."""
+"""Largest rms deviation of time stamps from a regular grid, as a fraction of the spacing."""
 MAX_CONFLICTS = 0.02
-"""Largest fraction of rows that may have the time of another row, but different values."""
+"""Largest accepted fraction of rows that have another row's time but different readings."""
 MANY_GAPS = 20
 """Number of gaps above which one finding describes all gaps of a file."""
 OFTEN = 0.4
-"""Repeated rows are found only with channels that repeat their reading less often than this."""
+"""The check for repeated rows omits channels that repeat at least this fraction of readings."""
 FROZEN = 5
 """Smallest number of successive repeated rows that count as a stuck logger."""
 
@@ -23,7 +23,7 @@ FROZEN = 5
 def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     """Returns rows at increasing, nearly regular times, and findings.
 
-    Missing rows are NaN. Raises `Unusable` if the times contradict each other.
+    Missing rows are NaN. Raises `Unusable` if the times are inconsistent.
     """
     findings: list[Finding] = []
     for step in (_unit, _doubled, _stale, _sorted, _gaps):
@@ -33,7 +33,7 @@ def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _unit(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Returns the rows with times in s. The trial's duration shows the unit in the file."""
+    """Returns the rows with times in s. The trial's duration identifies the unit in the file."""
     longest = float(np.median(np.sort(rows.t)[-3:]))
     for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds")):
         if 0.5 < longest / (factor * trial.duration) < 1.2:
@@ -65,7 +65,7 @@ def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _stale(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Returns the rows, with NaN where a row repeats the previous readings despite noise."""
+    """Returns the rows, with NaN where a row repeats the previous readings of noisy sensors."""
     same = np.diff(rows.values, axis=1) == 0.0
     # A sensor that is stuck or at the end of its range repeats readings in correct rows too.
     repeated = same & (same.mean(axis=1) < OFTEN)[:, None]
@@ -105,7 +105,7 @@ def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     if len(conflicts) > max(4.0, MAX_CONFLICTS * len(rows.t)):
         detail = (
             f"{len(conflicts)} rows have equal times and different readings: the clock was reset, "
-            "or the file holds two runs"
+            "or the file contains two runs"
         )
         raise Unusable(trial.file, "unsorted", detail, "t_s")
     span = float(rows.t[same[0]]), float(rows.t[same[-1]])
@@ -124,7 +124,7 @@ def _gaps(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     index = np.r_[0, np.cumsum(steps)]
     if index[-1] > 20 * len(t):
         at = float(t[np.argmax(steps)])
-        detail = f"rows are {dt:.4g} s apart, but a gap of {apart.max():.4g} s follows {at:.4g} s"
+        detail = f"rows are {dt:.4g} s apart, but a gap of {apart.max():.4g} s begins at {at:.4g} s"
         raise Unusable(trial.file, "gap", detail, "t_s", (at, at + float(apart.max())))
     slope, first = np.polyfit(index, t, 1)
     jitter = float(np.sqrt(np.mean((t - first - slope * index) ** 2))) / slope
@@ -155,7 +155,7 @@ def _gap_findings(trial: Trial, t: np.ndarray, there: np.ndarray, dt: float) -> 
         kind = "sample_rate" if np.mean(~there) > 0.2 else "gap"
         return [Finding(trial.file, kind, None, *span, detail, "used")]
     spans = [(float(t[a - 1]), float(t[b + 1]), b - a + 1) for a, b in runs]
-    # A skewed clock shifts the end by up to 3 %, which the check of the clocks reports.
+    # A skewed clock shifts the end by up to 3 %. `check_clocks` reports this fault.
     margin = max(5.0 * dt, 0.035 * trial.duration)
     if t[0] > margin:
         spans.insert(0, (0.0, float(t[0]), int(t[0] / dt)))

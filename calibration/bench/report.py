@@ -16,11 +16,11 @@ DEFINITIONS = {
     "interval": "95 % interval, from the declared tip_noise or from the residual of the fit, "
     "whichever is larger. Lengths, masses and loads are assumed to be exact",
     "determined": f"half of the interval's width is less than {DETERMINED:g} times the value",
-    "offset": "reading of a table's ruler at zero displacement, fitted with the parameters [m]",
+    "offset": "reading of the ruler at zero displacement, fitted for every table [m]",
     "K_Q": "the interval of K_Q includes the uncertainty of EI, which the tip loads identify",
     "damping_time": "alpha of the modulus E_el (1 + alpha d/dt), from the whole ring-down. The fit "
     f"includes drag in air with C_d = {AIR_DRAG[0]:g} +- {AIR_DRAG[1]:g} (one standard deviation)",
-    "stiffness": "factor by which EI_body and EI_tail must be multiplied to obtain the frequency",
+    "stiffness": "factor on EI_body and EI_tail with which the model has the measured frequency",
 }
 ADVICE = {
     "EI_body": "larger loads, or more loads, on the tail's end",
@@ -31,7 +31,7 @@ ADVICE = {
 
 
 class Statics(NamedTuple):
-    """A bench and its fits."""
+    """Measurements of a bench, the fit of the static shapes and the fit of the ring-down."""
 
     bench: Bench
     shapes: ShapeFit | None

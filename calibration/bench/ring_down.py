@@ -3,7 +3,7 @@
 A small oscillation of a Kelvin-Voigt beam with angular frequency omega decays as exp(-alpha omega^2
 t/2) in the time t. This decay gives an initial value of alpha. The fit to the whole record has six
 parameters: alpha, a factor on both stiffnesses, the load before the release, the drag coefficient
-in air with the prior `AIR_DRAG`, the time of the release, and the ruler's zero.
+in air with the prior `AIR_DRAG`, the time of release, and the ruler's zero reading.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ A plate in steady flow has C_d = 2. Oscillations with a small stroke increase C_
 STEPS = 200
 """Number of time steps per period of the first mode."""
 BLOCK = 1000
-"""Number of time steps per call of the compiled function, which all records share."""
+"""Number of time steps per call of the compiled function. All records use the same function."""
 MIN_DAMPING = 1e-6
 """Smallest initial value of alpha [s]."""
 
@@ -43,9 +43,9 @@ class Decay(NamedTuple):
     """Fit of a cosine whose amplitude decays as exp(-rate t), plus a constant, to a record."""
 
     frequency: float
-    """[Hz]"""
+    """Frequency of the oscillation [Hz]."""
     rate: float
-    """[1/s]"""
+    """Decay rate of the amplitude [1/s]."""
 
     @property
     def damping_time(self) -> float:
@@ -57,9 +57,9 @@ class RingFit(NamedTuple):
     """The fit of a ring-down."""
 
     damping_time: BenchEstimate
-    """alpha [s]."""
+    """Damping time alpha [s]."""
     stiffness: BenchEstimate
-    """Factor on EI_body and EI_tail that gives the measured frequency; 1 if they are correct."""
+    """Factor on EI_body and EI_tail that gives the measured frequency; 1 if both are correct."""
     decay: Decay
     predicted: np.ndarray
     """Predicted tip (n,) [m] at the record's times."""
@@ -68,7 +68,7 @@ class RingFit(NamedTuple):
     mean_square: float
     """Mean square of the residual, after division by the noise's standard deviation."""
     load: float
-    """Force before the release [N]."""
+    """Lateral force on the tail's end before the release [N]."""
     converged: bool
 
 
@@ -236,7 +236,7 @@ def fit_ring_down(
 def _start(record: RingDown, decay: Decay, robot, density, grid, numerics) -> np.ndarray:
     """Returns initial parameters that give the record's first tip, frequency and decay.
 
-    Each of two simulations is compared with the record to correct the parameters.
+    The function simulates twice, and corrects the parameters after each simulation.
     """
     length, EI = float(robot.length), float(robot.EI_body)
     first = float(np.mean(record.tip[: max(2, len(record.tip) // 200)]) - np.mean(record.tip))

@@ -30,13 +30,13 @@ UNITS = {"EI_body": "N m^2", "EI_tail": "N m^2", "K_Q": "m^3", "damping_time": "
 DETERMINED = 0.5
 """A parameter is determined if its interval's half width is below this fraction of its value."""
 FIRST_NOISE = 1e-3
-"""Noise of a table without declared noise in the first fit; a second fit uses the residual [m]."""
+"""First estimate [m] of a table's undeclared noise. The second fit uses the residual's noise."""
 Linearised = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Maps x (k,) to the residual (n,), divided by the noise, and the residual's derivative (n, k)."""
 
 
 class Minimum(NamedTuple):
-    """The minimum of a sum of squares."""
+    """Parameters x (k,) that minimise a sum of squares, and the residual (n,) at the minimum."""
 
     x: np.ndarray
     residual: np.ndarray
@@ -186,7 +186,7 @@ def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
     zeros = [np.r_[np.zeros(len(free)), np.arange(len(shapes)) == i] for i in range(len(shapes))]
 
     def tables(x):
-        """Returns prediction and tangents of every table at x = (free logarithms, offsets)."""
+        """Returns each table's prediction and tangents at x = (log fitted parameters, offsets)."""
         logs = begin.copy()
         logs[free] = x[: len(free)]
         value, slope = _shapes(jnp.asarray(logs), robot, rows, numerics)
@@ -263,7 +263,7 @@ def _check_sides(shapes, found) -> None:
         here = y[: len(s.tip)]
         if s.kind == "pressure" and float((s.tip - s.tip.mean()) @ (here - here.mean())) < 0.0:
             raise InputError(
-                f"{s.name}: the model bends to the other side under these pressures; tip_m must "
+                f"{s.name}: the model bends to the other side than the robot; tip_m must "
                 "be positive to the left, as seen from the tail: change the sign of tip_m or of "
                 "both pressures"
             )

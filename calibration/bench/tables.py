@@ -55,8 +55,8 @@ class StaticParameters(Table):
 
 
 class StaticsTable(Table):
-    """The whole file. EI_body, EI_tail, damping_time and K_Q are initial values. A parameter keeps
-    its initial value if no table identifies the parameter."""
+    """The whole bench file. EI_body, EI_tail, damping_time and K_Q are initial values. A parameter
+    keeps its initial value if no table identifies the parameter."""
 
     name: str
     robot: RobotTable
@@ -82,16 +82,16 @@ class Shapes(NamedTuple):
     joint: np.ndarray | None
     """Displacement of the tail's joint (rows,) [m], if measured."""
     noise: float | None
-    """Standard deviation of tip and joint [m], if declared."""
+    """Declared standard deviation of the noise of tip and joint [m]; None if not declared."""
 
     @property
     def measured(self) -> np.ndarray:
-        """Returns the displacement of the tip, followed by the joint's if it was measured [m]."""
+        """Returns the tip's displacement [m], followed by the joint's displacement if measured."""
         return self.tip if self.joint is None else np.concatenate([self.tip, self.joint])
 
 
 class RingDown(NamedTuple):
-    """One ring-down with a constant sample rate."""
+    """One ring-down with a constant sample rate, its tip noise [m] and air density [kg/m^3]."""
 
     name: str
     t: np.ndarray
@@ -225,5 +225,5 @@ def _same_way(path: Path, load: np.ndarray, tip: np.ndarray, name: str) -> None:
     slope = float(np.sum((load - load.mean()) * (tip - tip.mean())))
     if slope <= 0.0:
         raise InputError(
-            f"{path}: tip_m decreases where {name} increases; give both the same positive direction"
+            f"{path}: tip_m decreases where {name} increases; use one direction for both columns"
         )

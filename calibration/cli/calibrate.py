@@ -19,7 +19,7 @@ from slider_jax.io.toml import significant, toml_text
 DEFINITIONS = {
     "rmse": "root mean square of the residual, measured minus simulated pressure. The simulated "
     "pressure starts at the first measured sample and then depends on the command only",
-    "pooled rmse": "root of the mean of all logs' mean squares; all logs have the same weight",
+    "pooled rmse": "root of the mean of all logs' mean square residuals; logs have equal weight",
     "settled": "value computed without the first cycle of each log",
     "over samples": "root mean square over the samples of all logs; long logs have more weight",
     "k": "least-squares estimate by the Levenberg-Marquardt method in log k. The method starts at "
@@ -31,7 +31,7 @@ DEFINITIONS = {
     "degrees of freedom. The interval k_within is valid for these logs only",
     "widening": "width of the interval, divided by its width for independent samples",
     "floor": "standard deviation of the white noise of the measured pressure, estimated from "
-    "fourth differences; it does not include drift and slow noise",
+    "fourth differences; this value does not include drift and slow noise",
     "shape": "shape of the residual with the k fitted to this log, over whole cycles after the "
     "first cycle",
 }
@@ -45,7 +45,7 @@ def manifold(
     out: Folder,
     plot: Pictures = True,
 ) -> None:
-    """Identifies the lag's time constant k from pressure logs: one value per log, and a common one.
+    """Identifies the lag's time constant k from pressure logs, for each log and for all logs.
 
     The command writes DIR/manifold.json, pictures, and DIR/model.toml (for `slider simulate
     --model`). The command prints whether one k explains all logs, and a table of the fits.

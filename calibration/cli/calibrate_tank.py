@@ -42,7 +42,7 @@ def tank(
         each: names of the parameters that may differ between frequencies (default: C_d m_a).
         method: lm (Gauss-Newton with step shortening), lbfgs (L-BFGS), or auto (lbfgs for 12
             parameters or more, otherwise lm).
-        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
+        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
     from calibration.identification.identify import (
         check_names,
@@ -78,7 +78,7 @@ def tank(
 
 
 def _by_frequency(found, each, progress, stage: Path):
-    """Writes CSV file and figure of the comparison; returns its JSON record, model file, table."""
+    """Writes the comparison's CSV file and figure; returns JSON record, model file and table."""
     from calibration.identification import per_frequency_report as report
     from calibration.identification.per_frequency import compare_ties
     from slider_jax.io.files import write_csv

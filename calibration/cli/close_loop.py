@@ -34,7 +34,7 @@ def close_loop(
         inputs: experiment file (.toml) with its measured trials in the same folder, or five or more
             pressure logs (.txt) of the rig at different frequencies.
         out: folder for the results; created if missing. Files of the same name are replaced.
-        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
+        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
     from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import error_lines, loop_model_toml, parameter_lines

@@ -34,15 +34,15 @@ def effects_matrix(
         experiment: experiment file (.toml). Measured trials in its folder are used if they exist.
         out: folder for the results; created if missing. Files of the same name are replaced.
         effects: names of the effects (default: the effects of --separate, or else all effects).
-        separate: names of two or more effects that the next trial discriminates (default: none).
+        separate: names of two or more effects between which the next trial must discriminate
+            (default: none).
         frequency: lowest and highest frequency of the next trial, in Hz (default: the range in the
             experiment's trials, widened by 10 %).
         amplitude: lowest and highest amplitude of the next trial in Pa (default: as for frequency).
         phase: lowest and highest phase of the rear chamber, as a fraction of a period (default: as
             for frequency).
-        tow_speed: lowest and highest tow speed of the next trial, in m/s (default: as for
-            frequency).
-        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
+        tow_speed: lowest and highest tow speed, in m/s (default: as for frequency).
+        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
     from calibration.experiment_design.detectability import detectability_matrix
     from calibration.experiment_design.detectability_report import (

@@ -28,13 +28,13 @@ CHUNK = 125
 NUMERICS = {"step": 1e-3}
 """Longest time step [s]. The sampling period of the log is a multiple of the actual step. For a log
 at 3 Hz, the results with steps of 1 ms and 0.25 ms differ by 0.4 % of the thrust's standard
-deviation and by 0.1 % of the recoil's, both with the drive "set" and with the drive "measured"."""
+deviation and by 0.1 % of the recoil's standard deviation, for both values of `drive`."""
 
 DEFINITIONS = {
     "mapping": "the log contains the gauge pressure of one chamber. In the simulation, the front "
     "and the rear chamber both have this pressure, so both chambers bend the body to the same side",
     "start": "the robot starts straight and at rest. The initial pressure is the first measured "
-    "sample. The first cycle contains the transient",
+    "sample. The first cycle contains the transient from rest",
     "averaged": "averages are computed over the log's whole cycles after the first cycle",
 }
 
@@ -91,7 +91,7 @@ def drive_robot(
     h = divided_step(log.period, experiment.numerics.step)
     every = round(log.period / h)
     base, numerics = prepared.model, prepared.numerics
-    if drive == "measured":  # with a lag of zero, both drives share one compiled program
+    if drive == "measured":  # with lag 0, both values of `drive` share one compiled program
         base = replace(base, pressure_law=FirstOrderLag(jnp.asarray(0.0, float)))
     start = jnp.asarray(log.pressure_Pa[0])
     base = replace(base, drive=replace(base.drive, start_front=start, start_rear=start))

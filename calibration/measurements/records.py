@@ -33,7 +33,7 @@ class Record:
 
 
 def load_records(experiment: Experiment) -> list[Record]:
-    """Returns all trials that have a file. Raises `InputError` for no file or a damaged file."""
+    """Returns all trials with a file. Raises `InputError` if no file exists or one is damaged."""
     found = []
     for trial in experiment.trials:
         columns = read_measured(experiment, trial)
@@ -52,7 +52,7 @@ def load_records(experiment: Experiment) -> list[Record]:
 
 
 class Finding(NamedTuple):
-    """One fault of one file, and what the audit did with the faulty data.
+    """One fault of one file from `from_s` to `to_s` [s], and the audit's action on the faulty data.
 
     | action | meaning |
     |---|---|

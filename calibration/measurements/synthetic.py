@@ -1,7 +1,7 @@
 """Synthetic tank experiments with known parameters: simulated trials with sensor noise.
 
-Simulation and fit (`calibration.model.predict`) have different meshes and time steps. Otherwise,
-the discretisation errors of data and fit would cancel.
+The simulation and the fit (`calibration.model.predict`) use different meshes and time steps. With
+equal meshes and time steps, the discretisation errors of data and fit would cancel.
 """
 
 from collections.abc import Mapping, Sequence
@@ -65,7 +65,7 @@ def random_base_parameters(rng: np.random.Generator) -> dict[str, float]:
 def random_trials(seed: int, count: int = 8, seconds: float = 1.0) -> list[dict[str, Any]]:
     """Returns trials with square waves of 0.6 to 6 Hz and random amplitude, phase and tow speed.
 
-    With `seconds` = 1, a trial lasts 5 s at 0.6 Hz, and 2 s from 1.5 Hz on.
+    `seconds` scales the durations. With 1, a trial lasts 5 s at 0.6 Hz, and 2 s from 1.5 Hz on.
     """
     rng = np.random.default_rng(seed)
     found = []

@@ -12,7 +12,7 @@ from slider_jax.io.toml import significant
 
 
 def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
-    """Returns the JSON record of the fitted entry `index`: value, 95 % interval and unit.
+    """Returns the JSON record of the parameter `entries[index]`: value, 95 % interval and unit.
 
     If the data do not determine the parameter, its value is None and its interval is limited to
     the prior range.
@@ -44,7 +44,7 @@ def widened(x: dict[str, Any]) -> str:
 def model_tables(
     entries: Sequence[Parameter], theta: np.ndarray, effects: Sequence[str]
 ) -> dict[str, Any]:
-    """Returns the tables of a model file: base parameters of `entries`, and the given `effects`."""
+    """Returns the tables of a model file: values of the base parameters and of the `effects`."""
     values = {(p.effect, p.name): significant(x) for p, x in zip(entries, theta, strict=True)}
     parts = [
         {name: x for (effect, name), x in values.items() if effect == which}
