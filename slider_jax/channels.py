@@ -1,4 +1,4 @@
-"""Defines the channels: the signal of each sensor, with its CSV column, units and noise.
+"""Defines the channels. A channel is the signal of one sensor, with CSV column, units and noise.
 
 All code that reads, simulates, plots or fits sensor data iterates over `CHANNELS`. To add a sensor,
 define a `Channel` and `register` this channel before you load data:
@@ -24,7 +24,7 @@ TIME = "t_s"
 
 @dataclass(frozen=True)
 class Channel:
-    """The signal of one sensor. `observe` returns the true reading at a simulated snapshot."""
+    """The signal of one sensor. `observe` returns the true reading from a simulated snapshot."""
 
     name: str
     column: str
@@ -40,19 +40,19 @@ class Channel:
     kind: Literal["pressure", "force", "camera", "other"] = "other"
     """Kind of sensor: forces have a tare and slow noise; pressures have a quantisation step."""
     noise: str = ""
-    """Key in table [sensors] that declares the white noise. If "", the data determine the noise."""
+    """Key of the white noise in table [sensors]. If "", the noise is estimated from the data."""
     gain: float = 0.01
-    """Relative standard deviation of a trial's gain, due to calibration errors and drift."""
+    """Standard deviation of a trial's gain (scale factor), due to calibration error and drift."""
     discrepancy: float = 0.05
     """Model-discretisation discrepancy, as a fraction of the channel's rms."""
     digits: str = ".7g"
-    """Format of the numbers in the CSV column."""
+    """Python format specification of the numbers in the CSV column."""
     start: Callable[[np.ndarray], float] = lambda midline: 0.0
     """Returns the reading at t = 0 from the midline (2, nodes) [m]; not used for pressures."""
 
 
 CHANNELS: dict[str, Channel] = {}
-"""All channels by name. Arrays of readings have one row per channel, in this order."""
+"""All channels by name. Arrays of readings have one row per channel, in the order of this dict."""
 
 
 def register(channel: Channel) -> Channel:
@@ -85,8 +85,8 @@ def _force(name: str, observe: Callable[[Snapshot], Array], discrepancy: float) 
     )  # fmt: skip
 
 
-# Model-discretisation discrepancies (see the glossary) in twelve noise-free trials:
-# pressures 0.05 to 0.3 %, thrust 5 to 28 % (median 7), recoil 0.7 to 2.1 %, tip 0.1 to 0.9 %.
+# Model-discretisation discrepancies (see the glossary) of twelve noise-free trials, in % of rms:
+# pressures 0.05 to 0.3, thrust 5 to 28 (median 7), recoil 0.7 to 2.1, tip 0.1 to 0.9.
 register(_pressure("p_front", "front pressure", 0))
 register(_pressure("p_rear", "rear pressure", 1))
 register(_force("thrust", obs.thrust, 0.07))
@@ -97,7 +97,7 @@ register(Channel(
     start=lambda midline: midline[1, 0],
 ))  # fmt: skip
 BUILT_IN = tuple(CHANNELS)
-"""Names of the channels in this file; the rig's live stream has the same channels."""
+"""Names of the channels that this file registers; the rig's live stream has the same channels."""
 
 
 def channel_columns() -> tuple[str, ...]:
@@ -116,7 +116,7 @@ def true_readings(x: Snapshot) -> dict[str, Array]:
 
 
 def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
-    """Returns the recorded readings: the `true` readings after all `Instrument` effects."""
+    """Returns the readings that the sensors record: `true`, changed by all `Instrument` effects."""
     for effect in of_place(effects, Instrument):
         true = effect.read(true)
     return true
@@ -125,7 +125,7 @@ def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
 def recorded_series(
     effects: tuple[Effect, ...], t: Array, true: dict[str, Array]
 ) -> dict[str, Array]:
-    """Returns the series (n,) that each channel records at times `t` (n,) [s], from true series.
+    """Returns the recorded series (n,) of each channel at times `t` (n,) [s] from `true` series.
 
     `Instrument` effects change only the built-in channels.
     """

@@ -1,4 +1,4 @@
-"""The package's two errors for users. Each message says what the user can do next."""
+"""Defines the two exceptions for users. Each message says what the user can do next."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -15,7 +15,7 @@ class InputError(Exception):
 
 
 class SolverError(Exception):
-    """A time step of a single run did not converge. For batches, a flag is returned."""
+    """A time step of a single run did not converge. Functions for batches return a flag instead."""
 
 
 def did_you_mean(given: str, allowed: Iterable[str]) -> str:

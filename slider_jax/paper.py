@@ -1,7 +1,7 @@
 """Values that the paper publishes, and assumed values of quantities that the paper omits.
 
 Source of every published value: Van Stratum et al., Model-based Optimization of Anguilliform
-Swimming Gaits for Soft Robotic Applications. The class `Assumed` contains our own values.
+Swimming Gaits for Soft Robotic Applications. The class `Assumed` contains the assumed values.
 """
 
 import equinox as eqx
@@ -29,7 +29,7 @@ SWEEP = tuple(round(0.4 + 0.2 * i, 1) for i in range(34))
 """Frequencies [Hz] of the head-fixed sweep: 0.4 to 7.0 Hz in steps of 0.2 Hz."""
 
 MINIMUM_NEAR = 1.0
-"""Frequency [Hz] near which the mean thrust has its negative minimum."""
+"""Frequency [Hz] near which the mean thrust has its minimum, which is negative."""
 THRUST_AT, THRUST_THERE = 4.8, 0.060
 """Frequency [Hz], and mean thrust [N] near this frequency; the paper says "about 60 mN"."""
 RECOIL_AT, RECOIL_THERE = 1.0, 1.0
@@ -46,13 +46,13 @@ def force_coefficients(frequency: Scalar) -> tuple[Float[Array, ""], Float[Array
 
 
 class Assumed(eqx.Module):
-    """Values of quantities that the paper omits. The assumed chamber spans are in `Robot`.
+    """Values of quantities that the paper omits. `Robot` has the assumed ends of the chambers.
 
     | field | unit | meaning |
     |---|---|---|
     | `amplitude` | Pa | amplitude of the front chamber's square wave of set pressure |
     | `rear_ratio` | - | ratio of the rear to the front amplitude |
-    | `phase` | - | delay of the rear chamber, as a fraction of a stride |
+    | `phase` | - | delay of the rear chamber's set pressure, as a fraction of a stride |
 
     With these values, the mean thrust at 4.8 Hz agrees with the paper. As in the paper, the mean
     thrust has a minimum at 1.0 Hz, for all phases from 0 to 0.05. With a phase of 0.15, the minimum

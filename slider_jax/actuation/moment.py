@@ -10,7 +10,7 @@ from slider_jax.beam.parameters import Robot, Scalar
 def peskin_delta(r):
     """Returns Peskin's four-point regularised delta at the distance `r` [grid spacings].
 
-    On a uniform grid, the sum of the nodes' values is 1 and the first moment is exact.
+    On a uniform grid, the values at the nodes add up to 1 and the first moment is exact.
     Source: Peskin, C. S. (2002), The immersed boundary method, Acta Numerica 11, eq. 6.27.
     """
     r = jnp.abs(r)

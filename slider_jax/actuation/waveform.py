@@ -31,7 +31,7 @@ class Waveform(eqx.Module):
 
     @abstractmethod
     def segment(self, t0: Array, t1: Array) -> Segment:
-        """Returns the segment from `t0` to `t1` [s]. Each class states when segments are exact."""
+        """Returns the segment from `t0` to `t1` [s]. Subclasses state which segments are exact."""
 
 
 def _continuous(value, t0, t_break, t1) -> Segment:
@@ -55,7 +55,7 @@ class SquareWave(Waveform):
 
     def segment(self, t0, t1):
         def half_turns(t):
-            # With this tolerance, an edge at the end of a step belongs to the next step.
+            # With this tolerance, an edge at the end of a step is counted in the next step only.
             return jnp.floor(2.0 * (self.frequency * t - self.phase) - 1e-9)
 
         whole = half_turns(t0)
@@ -68,7 +68,7 @@ class SquareWave(Waveform):
 
 
 class SineWave(Waveform):
-    """A sine, amplitude sin(2 pi (frequency t - phase)) [Pa]. The error is of second order."""
+    """A sine, amplitude sin(2 pi (frequency t - phase)) [Pa]. Segments have second-order errors."""
 
     frequency: Scalar
     amplitude: Scalar
@@ -129,7 +129,7 @@ class Held(Waveform):
     """A set pressure that is constant from each of the `times` [s] until the next time.
 
     The segment is exact for steps that are not longer than the time between samples. If two
-    neighbouring `values` [Pa] are equal, derivatives with respect to one value are unavailable.
+    neighbouring `values` [Pa] are equal, derivatives with respect to only one of them are wrong.
     """
 
     times: Float[Array, " samples"]
@@ -156,7 +156,7 @@ class Delayed(Waveform):
         early = self.wave.segment(jnp.where(t0 > self.delay, t0 - self.delay, 0.0), t1 - self.delay)
         smooth = early.t_break >= early.t1
         before = t1 <= self.delay
-        # With zero delay, the wave starts at t0. A derivative shifts this start, so it is a break.
+        # With zero delay, the wave starts at t0. This start is a break, as it moves with `delay`.
         starts = ((t0 < self.delay) | ((t0 == self.delay) & smooth)) & (t1 > self.delay)
 
         def choose(inside, beginning):

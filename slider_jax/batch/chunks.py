@@ -16,7 +16,7 @@ import numpy as np
 
 
 class Chunks(NamedTuple):
-    """`total` chunks of `size` robots. The last robot is repeated until the last chunk is full."""
+    """`total` chunks of `size` robots. Copies of the last robot fill up the last chunk."""
 
     robots: int
     size: int
@@ -54,7 +54,7 @@ def stack(trees: list[Any]) -> Any:
 
 
 def take(tree: Any, indices: np.ndarray) -> Any:
-    """Returns the stacked tree of the robots with these `indices`."""
+    """Returns the stacked pytree of the robots with these `indices`, from the stacked `tree`."""
     return jax.tree.map(lambda x: x[indices], tree)
 
 

@@ -31,7 +31,7 @@ class StopRequested(Exception):
 
 
 class BatchRobot(eqx.Module):
-    """One robot of a batch, driven at `frequency` [Hz]."""
+    """One robot of a batch, whose drive has the stride frequency `frequency` [Hz]."""
 
     model: Model
     frequency: Float[Array, ""]
@@ -90,9 +90,8 @@ def run_strides(
     """Returns the series of all strides of a chunk.
 
     `t`, `power` and all channels have the shape (robots, strides, steps). `midline` (robots, POSES,
-    2, nodes) contains midlines of the last stride. `ok` (robots,) is False if a robot's simulation
-    failed.
-    Raises `StopRequested` if `stopped()` is true between strides.
+    2, nodes) [m] contains midlines of the last stride. `ok` (robots,) is False if a robot's
+    simulation failed. Raises `StopRequested` if `stopped()` is true between strides.
     """
     carry, series = programs.rest(chunk), []
     for number in range(plan.strides):

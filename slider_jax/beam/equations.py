@@ -1,6 +1,6 @@
-"""The equations of a planar beam in one cell: geometry, constitutive laws and balances.
+"""The equations of a planar beam in one cell: geometry, moment law, balances of force and moment.
 
-With kappa = d(phi)/ds, omega = d(phi)/dt and the symbols of docs/reference/glossary.md,
+kappa is d(phi)/ds and omega is d(phi)/dt. docs/reference/glossary.md defines the other symbols.
 
     d(eps)/dt           = dV_tau/ds - kappa V_n                                   (stretch)
     (1 + eps) omega     = dV_n/ds + kappa V_tau                                   (turn)
@@ -12,7 +12,7 @@ With kappa = d(phi)/ds, omega = d(phi)/dt and the symbols of docs/reference/glos
 M_extra is the sum of the moments that the model's effects add. The axial law
 T = EA (eps + alpha d(eps)/dt) is solved for eps in each cell, so eps is not an unknown.
 
-A time derivative is (value - reference)/dt, with the `Reference` of the stage of the time scheme.
+A time derivative is (value - reference)/dt. `Reference` contains the reference values and dt.
 """
 
 import equinox as eqx
@@ -22,7 +22,7 @@ from slider_jax.beam.state import Fields, to_body
 
 
 class Structure(eqx.Module):
-    """Properties of the structure in the cells, each of shape (cells,)."""
+    """Properties of the robot in the cells, in SI units; each array has the shape (cells,)."""
 
     linear_density: Array
     EI: Array
@@ -40,7 +40,10 @@ class Structure(eqx.Module):
 
 
 class Reference(eqx.Module):
-    """Reference values in the cells and dt [s], for time derivatives (value - reference)/dt."""
+    """Reference values in the cells, and dt [s]. A time derivative is (value - reference)/dt.
+
+    `internal` contains the state of each `BendingMoment` effect.
+    """
 
     V_tau: Array
     V_n: Array
@@ -71,7 +74,7 @@ class Section(eqx.Module):
     t: Array
     phi: Array
     pressure: Array
-    """Acting pressure [Pa], which bends the body, of the chamber at the cell."""
+    """Pressure [Pa] with which the chamber at the cell bends the body."""
     kappa: Array
     kappa_t: Array
     omega: Array
@@ -98,7 +101,7 @@ def strain(T, structure: Structure, reference: Reference):
 def section(
     mid: Fields, slope: Fields, structure: Structure, reference: Reference, water, pressure, t
 ) -> Section:
-    """Returns the kinematics in the cells at time `t` [s].
+    """Returns the local state of the body in each cell at time `t` [s].
 
     `mid` and `slope` are the means and slopes d/ds of the unknowns. `water` contains the velocity
     [m/s] and acceleration [m/s^2] of the water, each (x, y) and uniform along the body. `pressure`
@@ -137,7 +140,7 @@ def section(
 def equations(
     mid: Fields, slope: Fields, x: Section, force: tuple[Array, Array], moment: Array
 ) -> tuple[Float[Array, " cells"], ...]:
-    """Returns residuals of the six equations of each cell, in the order of the module docstring.
+    """Returns the residuals of each cell's six equations, in the order of the module docstring.
 
     `force` is (F_tau, F_n) [N/m]; `moment` is M_extra - M_act [N m].
     """

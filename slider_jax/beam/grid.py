@@ -38,7 +38,7 @@ class Grid(eqx.Module):
         return jnp.where(jnp.arange(self.ds.shape[-1]) < self.tail_cells, tail, body)
 
     def at_joint(self) -> Float[Array, " cells"]:
-        """Returns a unit delta at the joint [1/m], distributed to the two adjacent cells.
+        """Returns a unit Dirac delta at the joint [1/m], distributed to the two adjacent cells.
 
         The zeroth and first moments of the delta are exact. Without a joint, the delta is zero.
         """
@@ -67,7 +67,7 @@ def make_grid(tail_length, body_length, tail_cells: int, body_cells: int) -> Gri
 def split_cells(nodes: int, tail_length: float, body_length: float) -> tuple[int, int]:
     """Returns the numbers of cells of tail and body, in proportion to their lengths [m].
 
-    The sum is `nodes` - 1. Each number is at least 2, but a tail of zero length has no cells.
+    Their sum is `nodes` - 1. Each number is at least 2, but a tail of zero length has no cells.
     """
     cells = nodes - 1
     tail = round(cells * tail_length / (tail_length + body_length))

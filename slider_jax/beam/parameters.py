@@ -1,6 +1,6 @@
 """The robot's parameters and the numerical settings, in SI units.
 
-Every physical number is a leaf of the pytree, so JAX can batch and differentiate the number.
+Every physical number is a leaf of a pytree, so a batch can vary it and JAX can differentiate by it.
 """
 
 import equinox as eqx
@@ -50,11 +50,11 @@ class Robot(eqx.Module):
 
 
 class Numerics(eqx.Module):
-    """Size of the mesh and tolerance of a step; all fields are static.
+    """Size of the mesh and tolerance of Newton's method; all fields are static.
 
-    The mesh has N_p = `tail_cells` + `body_cells` + 1 nodes. `tolerance` is the largest
-    estimated error of a stage, relative to the sizes from `scales_of`. `max_newton` is the largest
-    number of factorisations of the Jacobian per stage.
+    The mesh has N_p = `tail_cells` + `body_cells` + 1 nodes. Newton's method stops when the
+    estimated error of a stage, relative to the sizes from `scales_of`, is below `tolerance`.
+    `max_newton` is the largest number of factorisations of the Jacobian per stage.
     """
 
     tail_cells: int = eqx.field(static=True, default=10)

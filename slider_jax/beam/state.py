@@ -1,8 +1,7 @@
 """The unknowns of the box method at the nodes, the state between steps, and the body frame.
 
-The array of unknowns has shape (6, N). The nodes are along the last axis, which is contiguous, and
-operations are elementwise along this axis. In the body frame, tau points towards the head and n is
-tau rotated by +90 degrees.
+The array of unknowns has shape (6, N). The last axis contains the N nodes and is contiguous in
+memory. In the body frame, tau points towards the head and n is tau rotated by +90 degrees.
 """
 
 from typing import NamedTuple
@@ -39,11 +38,11 @@ def fields(y: Unknowns) -> Fields:
 
 
 class Memory(eqx.Module):
-    """The quantities with a time derivative, which a step passes to the next step.
+    """Values that one step passes to the next step, to compute time derivatives.
 
     `motion` (3, N): V_tau [m/s], V_n [m/s] and phi [rad] at the nodes. `strain` (N - 1,): eps [-]
-    in the cells. `head` (2,): position [m] of the head. `load` (3,): T, N, M at the head after a
-    low-pass filter (`MOUNT_LAG`). `internal`: the states (N - 1,) of the `BendingMoment` effects.
+    in the cells. `head` (2,): position [m] of the head. `load` (3,): T, N, M at the head, filtered
+    with the time constant `MOUNT_LAG`. `internal`: state (N - 1,) of each `BendingMoment` effect.
     """
 
     motion: Float[Array, "3 nodes"]
@@ -67,14 +66,14 @@ def straight_state(
 
 
 def to_body(vector, phi):
-    """Returns the components (tau, n) of a vector (x, y) in a frame rotated by `phi` [rad]."""
+    """Returns the components (tau, n) of the vector (x, y) in a frame rotated by `phi` [rad]."""
     x, y = vector
     c, s = jnp.cos(phi), jnp.sin(phi)
     return c * x + s * y, -s * x + c * y
 
 
 def to_plane(tau, n, phi):
-    """Returns the components (x, y) of a vector (tau, n) in a frame rotated by `phi` [rad]."""
+    """Returns (x, y) of a vector with components (tau, n) in a frame rotated by `phi` [rad]."""
     c, s = jnp.cos(phi), jnp.sin(phi)
     return c * tau - s * n, s * tau + c * n
 

@@ -32,7 +32,7 @@ from slider_jax.swimming.performance import names_with_units
 PHASES = 16
 """Number of pin phases that are compared if no pin phase is given."""
 PERIODS = 5
-"""Longest detected period of the motion [strides]; lightly damped swings have a long period."""
+"""Longest period [strides] of a motion that repeats; lightly damped swings have long periods."""
 REPEATS = 3e-2
 """Largest difference between the rises of strides that repeat, as a fraction of the mean rise."""
 MESH, STEP = 31, 5e-3
@@ -54,7 +54,7 @@ class ClimbRun:
     tried: dict[float, float]
     """Speed [m/s] at each compared pin phase; NaN if a step failed; empty if none is compared."""
     found: Climb
-    """Performance in the last `plan.strides` strides, or in the whole periods of these strides."""
+    """Performance in the last `plan.strides` strides; if strides repeat, in whole periods only."""
     series: Any
     """`ClimbSeries` of the strides in `found` and of the time step before these strides."""
     rises: np.ndarray
@@ -79,7 +79,10 @@ def _amounts(model: Model, frequency, series: ClimbSeries, plan: ClimbPlan):
 
 
 def period_of(rises: np.ndarray, link: float, least: int = 10) -> int:
-    """Returns the number of strides (1 to `PERIODS`) after which `rises` [m] repeat, or 0."""
+    """Returns the number of strides (1 to `PERIODS`) after which `rises` [m] repeat, or 0.
+
+    The result is 0 for fewer than `least` rises. `link` [m] is the cross-link's length.
+    """
     last = rises[-least - PERIODS :]
     same = REPEATS * max(np.abs(last).mean(), 0.1 * link)
     for n in range(1, PERIODS + 1):
@@ -135,11 +138,11 @@ def simulate_climb(
     """Simulates climbing in air with a trial's drive.
 
     The robot starts straight with its centre of mass below the pin, and climbs in blocks of 15
-    strides until strides repeat, or for `longest` strides. The result covers the last 15 strides,
-    or the whole periods of these strides. Without `pin_phase` (fraction of a period), the function
-    uses the fastest of `PHASES` pin phases. `link` [m] is the length of the cross-link, and `cap`
-    [Pa] the highest set pressure. Raises `InputError` for a recorded drive, and `SolverError` if a
-    time step does not converge.
+    strides until strides repeat, or for `longest` strides. The result covers the last 15 strides.
+    If strides repeat, only whole periods are covered. Without `pin_phase` (fraction of a period),
+    the function uses the fastest of `PHASES` pin phases. `link` [m] is the cross-link's length, and
+    `cap` [Pa] is the highest set pressure. Raises `InputError` for a recorded drive, and
+    `SolverError` if a time step does not converge.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]

@@ -60,7 +60,7 @@ def climb_summary(run: ClimbRun) -> list[str]:
 
 
 def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
-    """Returns the CSV columns of the last strides; x is up from the first centre of mass."""
+    """Returns CSV columns of the last strides; x points up, the origin is the first `centre`."""
     x, steps = run.series, run.plan.steps_per_stride
     start = x.centre[0]
     places = {"head": x.midline[:, :, -1], "tip": x.midline[:, :, 0], "pin": x.pin,
@@ -77,7 +77,7 @@ def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
 
 
 def _sideways(points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns points (..., 2, n) as (right, up) [mm] from the origin; x is up, y is left."""
+    """Returns points (..., 2, n) [m] as (right, up) [mm] from `origin`; x is up, y is left."""
     return -1e3 * (points[..., 1, :] - origin[1]), 1e3 * (points[..., 0, :] - origin[0])
 
 
@@ -112,7 +112,7 @@ def plot_climb(run: ClimbRun, path: Path) -> None:
 def film(
     run: ClimbRun, path: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> None:
-    """Writes a GIF of the last strides with body, cross-link, pin, time and a line every 10 mm."""
+    """Writes a GIF of the last `FILM_STRIDES` strides, with horizontal lines every 10 mm."""
     x, steps = run.series, run.plan.steps_per_stride
     shown = np.linspace(
         max(0, len(x.angle) - 1 - FILM_STRIDES * steps), len(x.angle) - 1,
@@ -138,7 +138,7 @@ def film(
 
     def move(number: int) -> None:
         i = shown[number]
-        # The link's ends lie to the left and to the right of the head.
+        # The ends of the cross-link are to the left and to the right of the head.
         n = np.array([-np.sin(x.angle[i]), np.cos(x.angle[i])])
         head = heads[number]
         ends = np.stack([head + 0.5 * run.link * n, head - 0.5 * run.link * n], axis=1)

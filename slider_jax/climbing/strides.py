@@ -52,13 +52,13 @@ class ClimbSeries(eqx.Module):
     pin: Float[Array, "steps 2"]
     """Position of the pin [m]."""
     slip: Float[Array, " steps"]
-    """Speed of the pin [m/s]."""
+    """Speed of the pinned end of the cross-link [m/s], a measure of the solver's error."""
     angle: Float[Array, " steps"]
     """Angle of the head [rad], positive to the left."""
     power: Float[Array, " steps"]
     """Power of the chambers on the body [W]."""
     dissipated: Float[Array, " steps"]
-    """Power [W] dissipated by the body's viscosity and by effects other than weight."""
+    """Power [W] that the body's viscosity and all effects except `Gravity` dissipate."""
     stored: Float[Array, " steps"]
     """Kinetic and elastic energy [J]."""
 
@@ -73,7 +73,7 @@ class Climb(eqx.Module):
     power: Scalar
     """Mean power P of the chambers on the body [W]."""
     efficiency: Scalar
-    """Weight times U/P [-]. This P excludes the increase of stored energy, which is zero if strides
+    """Weight times U/(P - dE/dt) [-] with the stored energy E. The mean dE/dt is zero if strides
     repeat. All ratios to P are NaN if the chambers do no positive work."""
     dissipated: Scalar
     """Fraction of P that is dissipated [-]."""
@@ -86,7 +86,7 @@ class Climb(eqx.Module):
     tail_swing: Scalar
     """Peak-to-peak lateral motion of the tip in the last stride [m]."""
     slip: Scalar
-    """Largest speed of the pin [m/s]."""
+    """Largest speed of the pinned end of the cross-link [m/s], a measure of the solver's error."""
     rises: Float[Array, " strides"]
     """Rise of the head in each stride [m]."""
 
@@ -125,8 +125,8 @@ def climb_on(
 ) -> tuple[Carry, ClimbSeries]:
     """Simulates `count` strides at `frequency` [Hz], starting when the left end is pinned.
 
-    `to_climber` returns such a `model`. For every pin phase, the pinned end changes at the end of a
-    time step. Edges of the set pressures may be within time steps.
+    `model` must be a climber from `to_climber`. For every pin phase, the pinned end changes at the
+    end of a time step. Edges of the set pressures may be within time steps.
     """
     assert isinstance(model.support, PinnedLink)
     steps = plan.steps_per_stride

@@ -74,7 +74,7 @@ for _query in (
     _query.register(BeamOperator)(lambda operator: False)
 
 
-# The barrier makes the compiler compute a value only once, even if several expressions use it.
+# With `_keep`, the compiler computes a value only once, even if several expressions use the value.
 _keep = jax.lax.optimization_barrier
 
 
@@ -124,8 +124,8 @@ def _inverse6(a):
 def _halving_order(cells: int) -> list[int]:
     """Returns an order of the cells in which each level joins two contiguous slices of k pieces.
 
-    A piece is one cell or several joined cells. Each level joins the neighbours i and i + k. If the
-    number of pieces is odd, the last piece is not joined at this level.
+    A piece is one cell or several joined cells. In this order, pieces i and i + k are neighbours on
+    the body for all i < k. A level joins these pairs. With 2 k + 1 pieces, the last is not joined.
     """
     if cells == 1:
         return [0]
@@ -135,7 +135,7 @@ def _halving_order(cells: int) -> list[int]:
 
 
 class _Join(eqx.Module):
-    """Matrices of one level of joins, which give motion and forces between two pieces."""
+    """Matrices of one level of joins; they give motion and forces where two pieces meet."""
 
     E: Array
     A12: Array
@@ -147,7 +147,7 @@ class _Join(eqx.Module):
 
 
 class _Factors(eqx.Module):
-    """A factorised Jacobian: inverses of the cells' blocks, joins, boundary matrices."""
+    """A factorised Jacobian: inverses of the cells' blocks, joins, and boundary conditions."""
 
     cells: Array
     joins: tuple[_Join, ...]
@@ -176,7 +176,7 @@ def _join(A, B):
 def _factorise(operator: BeamOperator) -> _Factors:
     left, right = operator.left, operator.right
     # Each cell is solved for the motion of its left node and the forces of its right node. The rows
-    # are in the order stretch, turn, moment law, balances, so the diagonal is about 1/ds.
+    # are in the order stretch, turn, moment law, balances, so diagonal entries are of order 1/ds.
     cells = _inverse6(jnp.concatenate([left[:, 3:], right[:, :3]], axis=1))
     S = -_mm(cells, jnp.concatenate([left[:, :3], right[:, 3:]], axis=1))
     S = S[..., np.array(_halving_order(S.shape[-1]))]
@@ -187,7 +187,7 @@ def _factorise(operator: BeamOperator) -> _Factors:
         joins.append(join)
         S = _keep(jnp.concatenate([joined, S[..., 2 * pairs :]], axis=-1))
     S = S[..., 0]
-    # The boundary conditions G_f f + G_v v = g give f at the tail. After f is eliminated, the
+    # The tail's conditions G_f f + G_v v = g give f at the tail. After f is eliminated, the head's
     # conditions H_f f + H_v v = h give v at the head.
     G_f, G_v = operator.tail[:, :3], operator.tail[:, 3:]
     tail_f = _inverse3(G_f[..., None])[..., 0]
@@ -239,10 +239,10 @@ def _solve(factors: _Factors, rhs):
 
 
 class BeamSolver(lx.AbstractLinearSolver):
-    """Direct solver for a `BeamOperator` with O(cells) operations and O(log cells) depth.
+    """Direct solver for a `BeamOperator`: O(cells) operations in O(log cells) sequential levels.
 
     `init` factorises the operator. `compute` solves with these factors and may be called
-    repeatedly. JAX can transpose `compute`, so reverse mode needs no transposed operator.
+    repeatedly. Reverse mode transposes `compute`, so `BeamOperator` needs no transpose.
     """
 
     def init(self, operator, options):

@@ -44,7 +44,7 @@ class Model(eqx.Module):
         return robot
 
     def water_velocity(self, t: Array) -> Float[Array, "2"]:
-        """Returns the water's velocity (U_x, U_y) [m/s] at `t` [s], plus `WaterMotion` effects."""
+        """Returns the water's velocity (2,) [m/s] at `t` [s], including `WaterMotion` effects."""
         velocity = jnp.stack([jnp.asarray(u, float) for u in self.water])
         for effect in of_place(self.effects, WaterMotion):
             velocity = velocity + jnp.stack(effect.velocity(t))
@@ -52,7 +52,7 @@ class Model(eqx.Module):
 
 
 class Mesh(eqx.Module):
-    """The robot's grid, structure and chambers."""
+    """The robot's grid, and properties of structure and chambers in each cell."""
 
     grid: Grid
     structure: Structure

@@ -2,10 +2,10 @@
 
 `BeamNewton` reads three options. `options["jacobian"]` is a function (y, args) -> BeamOperator.
 `options["scale"]` is the scale of each unknown. If `options["skip"]` is true, the iteration stops
-at once. In a batch, a failed robot therefore takes no further computing time.
+before its first step. A failed robot therefore adds no iterations to a batch.
 
-`BeamAdjoint` differentiates the root with the same Jacobian. A failed robot invalidates only the
-derivatives of this robot. Neither class calls Python at run time, so JAX can cache programs.
+`BeamAdjoint` differentiates the root with the same Jacobian. If one robot of a batch fails, only
+this robot's derivatives are invalid. Compiled programs do not call Python, so JAX can cache them.
 """
 
 import functools as ft
@@ -33,9 +33,9 @@ class BeamNewton(optx.AbstractRootFinder):
     """Shamanskii's method: one factorisation per iteration and several simplified Newton steps.
 
     Each iteration makes `corrections` (at least 2) steps with the same factors. Each increment
-    is about r times the previous one. The error after the last step is about |increment| r/(1 - r).
-    The iteration stops when this error, divided by max(`options["scale"]`, |y|), is below `rtol`.
-    The field `atol` of optimistix must be 0, since the six unknowns have different units.
+    is about r times the previous increment. The error after the last step is therefore about
+    |increment| r/(1 - r). The iteration stops when this error, divided by max(`options["scale"]`,
+    |y|), is below `rtol`. `atol` must be 0, since the six unknowns have different units.
 
     Source: Shamanskii, V. E. (1967), A modification of Newton's method, Ukr. Math. J. 19, 118-122.
     """
@@ -81,9 +81,9 @@ class BeamNewton(optx.AbstractRootFinder):
 
 
 class BeamAdjoint(optx.AbstractAdjoint):
-    """Returns dy = -J^-1 df for the root y of f(y, args) = 0, with the Jacobian J = df/dy at y.
+    """Computes dy = -J^-1 df for the root y of f(y, args) = 0, with the Jacobian J = df/dy at y.
 
-    J is factorised once per root for all forward tangents. Reverse mode transposes this solution.
+    One factorisation of J serves all forward tangents. Reverse mode transposes this linear map.
     """
 
     linear_solver: BeamSolver = BeamSolver()

@@ -1,9 +1,9 @@
-"""Computes the chamber pressures from the set pressures before the rollout.
+"""Computes the chamber pressures from the set pressures.
 
     set pressure -> Command effects -> pressure law and Flow effects -> p at the pressure sensor
                  -> ActingPressure effects -> pressure that bends the body
 
-The rollout does not compute the pressures, because the motion of the body does not affect them.
+A rollout computes them before its first time step, since the body's motion does not affect them.
 """
 
 import functools as ft
@@ -20,7 +20,7 @@ from slider_jax.dynamics.model import Model
 from slider_jax.effects import ActingPressure, Chamber, Command, Flow, of_place
 
 REAR = np.array([0.0, 1.0])
-"""1 for the rear chamber and 0 for the front chamber."""
+"""Marks the rear chamber in arrays (front, rear): 0 for the front and 1 for the rear chamber."""
 
 
 class Chambers(eqx.Module):
@@ -42,7 +42,7 @@ def start_chambers(model: Model) -> Chambers:
 
 
 def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) -> Chambers:
-    """Returns the chambers at all `times` [s] after the first; arrays have shape (n - 1, ...)."""
+    """Returns the chambers at `times[1:]` [s], from `begin` at `times[0]`; arrays (n - 1, ...)."""
     flows = of_place(model.effects, Flow)
     acting_effects = of_place(model.effects, ActingPressure)
 
@@ -78,9 +78,10 @@ def advance(
     """Returns front and rear pressures [Pa] at the end of segment `x` from `p` [Pa] at its start.
 
     The pressure law has an exact solution. For `FirstOrderLag` with `Flow` effects, the difference
-    of two Runge-Kutta steps, with and without these effects, is added to this solution. Effects
-    at their null therefore change nothing. Both Runge-Kutta steps are split at the break of the set
-    pressure and at zero pressure, where the opposite air chamber starts to fill.
+    of two Runge-Kutta steps, with and without these effects, is added to this solution. Effects at
+    their null thus change nothing. If an effect replaces the law, the step with effects is the
+    result. Both steps are split at the break of the set pressure and at zero pressure, where the
+    opposite air chamber starts to fill.
     """
     exact = law.advance(p, x)
     if not flows or not isinstance(law, FirstOrderLag):

@@ -23,8 +23,8 @@ from slider_jax.supports import Support
 class Stage(eqx.Module):
     """The quantities that are constant while an implicit stage is solved.
 
-    `water` contains velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and
-    `load_head` are reference values at the head; `load_head` is (T, N, M), filtered in time.
+    `water` contains velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` [rad] and
+    `load_head` are reference values at the head; `load_head` is the filtered load (T, N, M).
     """
 
     structure: Structure
@@ -64,7 +64,7 @@ def load_rates(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
 
 
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """Returns residuals of the support's conditions for head motion minus mounting motion."""
+    """Returns residuals of the support's conditions, after the mounting's motion is subtracted."""
     at_head, omega = fields(head), turning_rate(fields(head), stage)
     rates = HeadRates(*load_rates(head, stage))
     for effect in of_place(stage.effects, Mounting):
@@ -86,7 +86,7 @@ def mid_and_slope(y: Unknowns, ds) -> tuple[Fields, Fields]:
 
 
 def at_cells(y: Unknowns, stage: Stage) -> Section:
-    """Returns the kinematics in the cells."""
+    """Returns the local state of the body in each cell."""
     at = mid_and_slope(y, stage.structure.ds)
     return section(*at, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
 

@@ -26,7 +26,7 @@ class TimeGrid(eqx.Module):
     def per_stride(cls, frequency: Scalar, steps_per_stride: int, strides: int) -> "TimeGrid":
         """Returns a grid of `strides` strides at the `frequency` [Hz].
 
-        If `steps_per_stride` is even, the edges of a square wave are at ends of steps.
+        If `steps_per_stride` is even, edges of a square wave without delay are at ends of steps.
         """
         return cls(1.0 / (frequency * steps_per_stride), steps_per_stride * strides)
 
@@ -37,7 +37,7 @@ class TimeGrid(eqx.Module):
 
 
 class Rollout(eqx.Module):
-    """Result of a rollout: times (steps,) [s], quantities saved at each step, and final carry."""
+    """Result of a rollout: times [s], quantities saved at each step, final carry, and mesh."""
 
     t: Float[Array, " steps"]
     saved: Any

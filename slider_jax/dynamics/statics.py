@@ -22,7 +22,7 @@ from slider_jax.effects import BendingMoment, of_place
 LONG = 1e9
 """Value of dt [s] in a static stage, so large that rates (value - reference)/dt vanish."""
 INCREMENTS = 8
-"""Number of load increments; each static shape is the initial guess for the next one."""
+"""Number of load increments; each static shape is the initial guess for the next increment."""
 CORRECTIONS, LAST = 3, 4
 """Newton steps per load increment, and additional Newton steps at the full load."""
 
@@ -102,7 +102,7 @@ def _loaded_jacobian(y: Unknowns, stage: Stage, force: Float[Array, "2"]) -> Bea
 
 
 def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
-    """Returns the state, the last relative change of the state, and the last factors."""
+    """Returns the state, its last relative change, and the factors of the last Jacobian."""
     solver = BeamSolver()
 
     def correct(carry, share):
@@ -123,7 +123,7 @@ def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
 
 @eqx.filter_custom_jvp
 def _equilibrium(inputs):
-    """Returns the state and its last relative change for (stage, force, scale)."""
+    """Returns the static state and its last relative change; inputs: (stage, force, scale)."""
     return _newton(*inputs)[:2]
 
 

@@ -60,7 +60,7 @@ class Snapshot(eqx.Module):
         return self.memory.head
 
     def section(self) -> Section:
-        """Returns the kinematics in the cells."""
+        """Returns the local state of the body in each cell."""
         return at_cells(self.y, self.stage)
 
 

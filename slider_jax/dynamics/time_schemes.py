@@ -1,4 +1,4 @@
-"""Implicit time schemes: sequences of stages that resemble backward-Euler steps.
+"""Implicit time schemes: each step is a sequence of stages that resemble backward-Euler steps.
 
 In stage i of a step of length h, every time derivative d(q)/dt is (q - reference_i)/(gamma h). Here
 reference_i = base + weight_i (last - base), `base` is q at the start of the step, and `last` is q

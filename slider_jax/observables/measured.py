@@ -45,8 +45,5 @@ def thrust(x: Snapshot) -> Float[Array, ""]:
 
 
 def recoil(x: Snapshot) -> Float[Array, ""]:
-    """Returns the body's force [N] to the left on the carriage (-N for a rigid clamp).
-
-    The axes are the same as in `thrust`.
-    """
+    """Returns the body's force [N] to the left on the carriage; see `thrust` for the axes."""
     return _on_sensor(x)[1]

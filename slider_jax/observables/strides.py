@@ -1,4 +1,4 @@
-"""Computes the mean of a series in each stride, and efficiencies and other numbers from means."""
+"""Computes means over each stride, and efficiencies, the Strouhal number and the tail slope."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -9,7 +9,7 @@ from slider_jax.beam.parameters import Scalar
 def stride_means(
     series: Float[Array, "*b steps"], steps_per_stride: int
 ) -> Float[Array, "*b strides"]:
-    """Returns the mean value of `series` in each stride; time is the last axis."""
+    """Returns the mean of `series` over each stride; time is the last axis."""
     steps = series.shape[-1]
     if steps % steps_per_stride:
         raise ValueError(

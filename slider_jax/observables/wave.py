@@ -50,13 +50,13 @@ def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequ
     """Returns wavelength and speed of a mode c(s) with `frequency` [Hz]; `s` [m] is from the tail.
 
     The wavelength is 2 pi/wavenumber, and the wavenumber is the slope of a line fitted to the phase
-    along the body. The fit has weights |c|^2, since the phase of a nearly still point is uncertain.
+    along the body. The fit has weights |c|^2, since the phase is uncertain where |c| is small.
     The phase must change by less than half a turn between neighbouring points. In a nearly standing
     wave (`travelling_index` below about 0.2), the phase jumps by half a turn, in either direction,
     at each wave node. The wavelength and its sign are then unreliable.
     """
     turned = mode[1:] * jnp.conj(mode[:-1])
-    # At a clamped head, the amplitude is zero. This phase is undefined and has zero weight.
+    # At a clamped head, the amplitude is zero, so the phase is undefined. Its weight is zero.
     still = jnp.abs(turned) == 0.0
     phase_steps = jnp.where(still, 0.0, jnp.angle(jnp.where(still, 1.0, turned)))
     phase = jnp.concatenate([jnp.zeros(1), jnp.cumsum(phase_steps)])

@@ -15,8 +15,8 @@ from slider_jax.realtime.sensors import constant_past, read_now
 def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> None:
     """Raises `InputError` if the valves depend on more than the last `samples` set pressures.
 
-    The check applies the effects to random set pressures, `h` [s] apart, and compares the waveform
-    of the whole series with the waveforms of those samples that a `Plant` knows at the time.
+    The check applies the effects to a series of random set pressures, `h` [s] apart. The waveform
+    from the last `samples` set pressures must equal the waveform from the whole series.
     """
     length = 2 * samples + 10
     times = jnp.asarray(h * np.arange(float(length)))
@@ -43,13 +43,13 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
             if not all(np.allclose(a, b, 1e-9, 1e-9) for a, b in zip(whole, live, strict=True)):
                 raise InputError(
                     f"effects: {commands[count - 1].name()}: in real time only the set pressures "
-                    f"of the last {h * (samples - 3):g} s are known; allowed is a total dead time "
+                    f"of the last {h * (samples - 3):g} s are stored; allowed is a total dead time "
                     f"of 0 to {h * (samples - 3):g} s; remove the effect"
                 )
 
 
 def check_instrument(effect: Instrument, h: float, samples: int) -> None:
-    """Raises `InputError` if `read_now` differs from the instrument's reading of a whole series.
+    """Raises `InputError` if readings from `read_now` differ from `effect.read` of a whole series.
 
     The check uses a random series with steps of `h` [s]. An instrument that needs future samples,
     or samples older than the last `samples`, fails the check.
@@ -71,11 +71,11 @@ def check_instrument(effect: Instrument, h: float, samples: int) -> None:
 
     whole, live = both(effect, series)
     for expected, reading in zip(whole[1:], live[1:], strict=True):
-        # A delayed reading differs at the last samples, which have no successors.
+        # The last samples are excluded: their delayed readings differ, since no samples follow.
         error = np.abs(np.asarray(reading) - np.asarray(expected)[1:])[:-4]
         if not error.max() < 1e-9 * np.abs(expected).max():
             raise InputError(
                 f"effects: {effect.name()}: in real time only values of the last {h * samples:g} s "
-                f"are known; allowed is a delay of 0, or of {h:g} s (one step) to "
+                f"are stored; allowed is a delay of 0, or of {h:g} s (one step) to "
                 f"{h * (samples - 3):g} s; remove the effect, or simulate the whole trial"
             )

@@ -29,8 +29,8 @@ class ChamberFaults(Flow):
 
         dp/dt = (1 - b) r - q p    while |p| increases,    r - q p    while |p| decreases
 
-    p is the signed pressure. r is dp/dt from the pressure law and all other effects. b and q belong
-    to the left chamber if p > 0, otherwise to the right chamber. The source is that of `Leakage`.
+    p is the signed pressure. r is dp/dt from the pressure law and all other effects. b and q are
+    values of the left chamber if p > 0, otherwise of the right chamber. Source: see `Leakage`.
     """
 
     title = "faults of single chambers"
@@ -62,7 +62,7 @@ ALLOWED = {
 
 
 def with_fault(faults: Faults, name: str, value: float) -> Faults:
-    """Returns the faults with one changed value. Raises `InputError` for a bad name or value."""
+    """Returns faults with one changed value. Raises `InputError` for an invalid name or value."""
     refuse_unknown("fault", [name], ALLOWED)
     low, high, unit = ALLOWED[name]
     if not low <= value <= high:

@@ -30,7 +30,7 @@ from slider_jax.realtime.sensors import Past, SensorReading, constant_past, read
 PLANT_STEP = 2e-3
 """Default time step [s]."""
 LOOK_BACK = 0.2
-"""Set pressures and readings of the last 0.2 s are stored, for effects with a delay."""
+"""Time [s] for which a plant stores set pressures and readings; effects with a delay use them."""
 
 
 class PlantState(eqx.Module):
@@ -40,7 +40,7 @@ class PlantState(eqx.Module):
     commanded: Float[Array, "samples 2"]
     """Signed set pressures of the last steps [Pa], oldest first."""
     shared: Float[Array, "2"]
-    """Common pressure [Pa] of the two chambers of each segment. It bends no segment."""
+    """Pressure [Pa] common to left and right chamber, at front and rear; does not bend the body."""
     instruments: tuple[Past, ...]
 
 
@@ -48,10 +48,10 @@ class Plant:
     """Simulates an experiment's robot and effects in real time, in steps of `step` [s].
 
     The constructor compiles for about ten seconds. Afterwards, a step computes faster than real
-    time. The left chamber of a segment holds a positive signed pressure, the right chamber a
-    negative signed pressure. The smaller set pressure of the two chambers is common to both. Only
-    the lag acts on the common pressure, which does not bend the body. A vented chamber has the set
-    pressure 0. Raises `InputError` if an effect needs future values.
+    time. The robot has a left and a right chamber at the front, and also at the rear. The signed
+    pressure of each pair is left minus right. The smaller set pressure of a pair is common to left
+    and right. Only the lag acts on the common pressure, which does not bend the body. A vented
+    chamber has the set pressure 0. Raises `InputError` if an effect needs future values.
     """
 
     def __init__(self, experiment: Experiment, trial: Trial | int = 0, *, step: float = PLANT_STEP):
@@ -81,7 +81,7 @@ class Plant:
 
         The plant uses the trial's clamp motion and effects, but not the drive. All faults remain.
         The robot is straight and at rest relative to the clamp, and the chambers are empty. With
-        `settle`, the robot is in this state `settle` [s] earlier, and vented until the start.
+        `settle` [s], the robot is in this state `settle` earlier, with all chambers vented.
         """
         if not 0.0 <= settle < np.inf:
             raise InputError.value("settle", settle, "a finite time of 0 s or more")
@@ -102,7 +102,7 @@ class Plant:
         The chambers are in the order of `SensorReading.pressures`; None vents a chamber. Time
         advances in whole steps. A step uses the set pressures of the call that completes the step.
         Time shorter than a step is kept for the next call. If a step does not converge, the plant
-        stops until `begin` is called. `ok` of the readings is false, `failed_at` is the time [s].
+        stops until the next `begin`, returns readings with `ok` false, and sets `failed_at` [s].
         Raises `InputError` for a pressure that is negative or not finite.
         """
         commanded = np.concatenate([[0.0], _checked(set_pressures)])
@@ -126,7 +126,7 @@ class Plant:
         return self.reading
 
     def inject(self, name: str, value: float) -> None:
-        """Sets a fault from the next step on; the nominal value removes the fault.
+        """Sets a fault from the next step on. The value of an intact robot removes the fault.
 
         `leak_CHAMBER` [1/s] is the leak's conductance divided by the capacity of the chamber.
         `blocked_CHAMBER` is the blocked fraction, 0 to 1, of the fill valve's flow. CHAMBER is
@@ -183,7 +183,7 @@ def _with_faults(model: Model, faults: Faults) -> Model:
 
 
 def _pack(read: Readings, state: PlantState) -> Float[Array, "8"]:
-    """Returns readings, common pressures and `ok` as one array, for one transfer per step."""
+    """Returns readings, common pressures and `ok` as one array, so a step copies only one array."""
     values = jnp.stack([*read[1:], *state.shared])
     ok = state.carry.ok & jnp.all(jnp.isfinite(values))
     return jnp.concatenate([values, ok.astype(values.dtype)[None]])

@@ -49,4 +49,4 @@ class SensorReading(NamedTuple):
     recoil_N: float
     tip_m: float
     ok: bool
-    """False after a step that did not converge; the other values are then the last valid ones."""
+    """False after a step that did not converge. Other fields keep the values of the step before."""

@@ -23,8 +23,8 @@ class Start(NamedTuple):
 class Support(eqx.Module):
     """A support defines three boundary conditions at the head, and a reference point.
 
-    The reference point is the head or a pin. The solver integrates the velocity of this point. A
-    support may change between two time steps, but not within a time step.
+    The reference point is the head or a pin. The solver integrates the velocity of this point to
+    find the body's position. A support may change between time steps, but not within a time step.
     """
 
     @abstractmethod

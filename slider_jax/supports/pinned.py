@@ -21,7 +21,7 @@ class PinnedLink(Support):
 
     sigma is +1 in the first half of every period 1/`frequency` [s] and -1 in the second half.
     `phase` is the delay of these periods, as a fraction of a period. With `frequency` = 0, sigma is
-    always +1. sigma is constant within a time step: `during` uses the value at mid-step.
+    always +1. sigma is constant within a time step: `during` uses the sigma of mid-step.
     """
 
     link_length: Scalar = eqx.field(default=0.03)

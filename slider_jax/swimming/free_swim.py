@@ -1,4 +1,4 @@
-"""Simulates free swimming: the steady speed by root finding, and by swimming from rest."""
+"""Finds a free swimmer's steady speed by root finding, and by simulating swimming from rest."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -52,11 +52,11 @@ class Swim:
     gaining: float
     """Mean acceleration [m/s^2] along the course at the end of the simulation from rest."""
     unresisted: np.ndarray | None
-    """`from_rest` without effects that resist axial motion; None if no effect resists."""
+    """`from_rest` of the model without the effects `resisting`; None if `resisting` is empty."""
     unresisted_gaining: float
-    """Mean acceleration [m/s^2] along the course at the end of the simulation `unresisted`."""
+    """Mean acceleration [m/s^2] along the course at the end of `unresisted`; NaN without it."""
     resisting: str
-    """Names of the effects that `unresisted` omits."""
+    """Names of the effects that resist axial motion; the simulation `unresisted` omits them."""
 
     @property
     def frequency(self) -> float:
@@ -86,7 +86,7 @@ def _seen(model: Model, frequency, carry: Carry, search: SteadySettings):
 def _from_rest(
     model: Model, f: jax.Array, search: SteadySettings, least: int, most: int
 ) -> tuple[np.ndarray, MeanMotion, Carry, bool]:
-    """Returns speeds after every tenth stride, last motion and state, and if strides repeat.
+    """Returns speeds [m/s] every ten strides, last motion, final state, and if strides repeat.
 
     The simulation takes `least` to `most` strides and ends early if strides repeat.
     """

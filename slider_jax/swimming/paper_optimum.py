@@ -34,8 +34,8 @@ PUBLISHED = {
     "shape_tail_slope": Published(0.51, None),
 }
 """Published values, with the keys of `swim_record`. The paper states the tail slope 0.57. With the
-paper's tail amplitude A and wavelength lambda, A/(lambda/4) is 0.51. A sine with this A and lambda
-has a root mean square slope of 0.57."""
+paper's tail amplitude A_t and wavelength lambda, A_t/(lambda/4) is 0.51. A sine wave with this A_t
+and lambda has a root mean square slope of 0.57."""
 
 
 def swimmer_content(**trial: Any) -> dict[str, Any]:

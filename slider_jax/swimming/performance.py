@@ -40,9 +40,9 @@ class Stride(eqx.Module):
     power: Float[Array, " steps"]
     """Power [W] of the chambers on the body."""
     velocity_before: Float[Array, "2"]
-    """Mean velocity [m/s] in the previous stride."""
+    """Mean velocity [m/s] of the centre of mass in the previous stride."""
     ahead: Float[Array, "2"]
-    """Mean direction of the body towards the head, not normalised."""
+    """Mean of the vector (x, y) [m] from the tail to the head."""
     ok: Bool[Array, ""]
     """Whether every step converged."""
 
@@ -61,7 +61,7 @@ class Performance(eqx.Module):
     power: Scalar
     """Mean power P [W] of the chambers on the body."""
     thrust: Scalar
-    """Mean force T [N] along the course that balances the effects that resist axial motion."""
+    """Mean thrust T [N]: minus the component of the mean `Stride.resistance` along the course."""
     froude_efficiency: Scalar
     """Froude efficiency T U/P [-]."""
     slender_efficiency: Scalar
@@ -169,14 +169,14 @@ def names_with_units(values: dict[str, Any], units: dict[str, str]) -> dict[str,
 
 
 def performance_columns(found: Performance) -> dict[str, Scalar]:
-    """Returns the quantities by name; the names of dimensional quantities end in the unit."""
+    """Returns the fields of `found` by name; the names of dimensional fields end in the unit."""
     return names_with_units(vars(found), UNITS)
 
 
 def compile_swim(
     plan: Plan, chunk: BatchRobot
 ) -> Callable[[BatchRobot], tuple[Performance, Array]]:
-    """Returns a compiled function from robots, stacked like `chunk`, to (performance, ok)."""
+    """Returns a compiled function that maps robots, stacked like `chunk`, to (performance, ok)."""
     steps, _, numerics, scheme = plan
     search = SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
     one = jax.vmap(lambda robot: steady_stride(robot.model, robot.frequency, search)[1:])
@@ -184,6 +184,6 @@ def compile_swim(
 
 
 def performance_table(found: Performance, ok: Array) -> dict[str, np.ndarray]:
-    """Returns each quantity (robots,) by name with unit; NaN for robots that are not `ok`."""
+    """Returns one array (robots,) per field of `found`, with NaN for robots that are not `ok`."""
     columns = performance_columns(found)
     return {name: np.where(ok, np.asarray(values), np.nan) for name, values in columns.items()}

@@ -114,7 +114,7 @@ def stride_columns(swim: Swim) -> dict[str, np.ndarray]:
 
 
 def plot_swim(swim: Swim, path: Path) -> None:
-    """Plots the midlines over the stride, and the speed from rest until it is steady."""
+    """Plots the midlines of one stride, and the speed against time while swimming from rest."""
     figure, (above, below) = new_figure(2, 1, figsize=(8, 6), height_ratios=(2, 3))
     midline, steps = np.asarray(swim.stride.midline), swim.search.steps_per_stride
     mean = np.asarray(swim.stride.velocity).mean(axis=0)

@@ -6,15 +6,15 @@ U settles slowly, so a secant method finds the steady speed U* as the root of th
     a(U) = (v_2 - v_1) . course / T,    a(U*) = 0
 
 v_1 and v_2 are the mean velocities of the centre of mass over two consecutive strides of period T.
-The unit vector `course` is parallel to v_1 + v_2 and points towards the head. a also vanishes if
-the robot swims in a circle at constant speed. After each correction, the whole body gets the new
-speed, and some more strides are simulated. The implicit function theorem gives the change dU*,
+The unit vector `course` is parallel to v_1 + v_2 and points towards the head. The acceleration a
+also vanishes if the robot swims in a circle at constant speed. Each secant step adds its correction
+to the velocity of the whole body and simulates `between` + 1 strides. If a model parameter theta
+changes by dtheta, the implicit function theorem gives the change of the steady speed:
 
     dU* = (U_theta - a_theta U_delta / a_delta) dtheta
 
-Indices denote derivatives with respect to a model parameter theta and to a change delta of the
-speed. The simulation for these derivatives starts from the steady state with its speed increased by
-delta. Of the `settling` strides of this simulation, the last two give U and a.
+Indices denote derivatives with respect to theta and to an added speed delta. A simulation of
+`settling` strides from the steady state gives the derivatives: its last two strides give U and a.
 """
 
 from typing import NamedTuple
@@ -36,13 +36,13 @@ class SteadySettings(NamedTuple):
     """Settings of the root finding for the steady speed."""
 
     settling: int = 6
-    """Number of strides in which the gait settles: from rest, and again for the derivatives."""
+    """Number of strides from rest before the first correction, and again for the derivatives."""
     between: int = 2
     """One less than the number of strides that follow each correction of the speed."""
     corrections: int = 7
     """Number of secant steps."""
     second: float = 0.15
-    """Second speed [m/s] of the secant method; the first is the speed after settling from rest."""
+    """Second speed [m/s] of the secant method; the first speed is that after `settling` strides."""
     largest: float = 0.3
     """Largest change of the speed in one secant step [m/s]."""
     steps_per_stride: int = 96
@@ -51,7 +51,7 @@ class SteadySettings(NamedTuple):
 
 
 STRIDES_BEFORE_START = 20.0
-"""Number of strides from the start of the drive to the simulation: more than any valve delay."""
+"""Time from the start of the drive to the simulation, in strides; longer than any valve delay."""
 
 
 class MeanMotion(eqx.Module):
@@ -118,7 +118,7 @@ def velocity_and_heading(x: Snapshot) -> Float[Array, "2 2"]:
 
 
 def mean_motion(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion:
-    """Returns the mean motion from two strides' mean velocities; `ahead` points tail to head."""
+    """Returns the mean motion from two strides' mean velocities; `ahead` points to the head."""
     both = 0.5 * (before + mean)
     size = jnp.sqrt(jnp.sum(both**2) + 1e-18)
     side = jnp.where(both @ ahead < 0.0, -1.0, 1.0)
@@ -127,10 +127,7 @@ def mean_motion(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion
 
 
 def simulate_strides(model: Model, frequency, carry: Carry, count: int, search: SteadySettings):
-    """Simulates `count` strides (at least two) of `frequency` [Hz].
-
-    Returns the final state and the mean motion of the last two strides.
-    """
+    """Returns the state after `count` (at least 2) strides, and the last two strides' motion."""
     times = stride_times(frequency, 1, search)
 
     def body(state, _):
@@ -156,7 +153,7 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
         carry, after = simulate_strides(model, frequency, faster, search.between + 1, search)
         far = after.speed - pace.speed
         secant = (after.acceleration - pace.acceleration) / jnp.where(far == 0.0, 1.0, far)
-        # The last slope is kept if the new slope is rounding error or leads away from the root.
+        # The previous slope is kept if the new slope is rounding error or leads away from the root.
         slope = jnp.where((secant < 0.0) & (jnp.abs(far) > 1e-7), secant, slope)
         change = jnp.clip(-after.acceleration / slope, -search.largest, search.largest)
         return (carry, after, slope, change), None
