@@ -2,9 +2,9 @@
 
 The paper's drag acts only normal to the body, so nothing resists axial motion. In the model, the
 robot accelerates far beyond the measured speed, until its stroke no longer gives thrust. So this
-module adds an effect that resists axial motion. The effect is calibrated on one published speed and
-predicts another one. The quantities that the paper does not give are varied; the variation of the
-prediction shows its uncertainty.
+module adds an effect that resists axial motion. The effect is calibrated on one published speed,
+and predicts the other published speed. The quantities that the paper does not give are varied. The
+spread of the predictions shows their uncertainty.
 """
 
 import itertools
@@ -42,20 +42,20 @@ from slider_jax.swimming.steady_state import (
 
 STEADY_SETTINGS = SteadySettings(steps_per_stride=160)
 CORRECTIONS_FACTOR = 3
-"""Factor on the number of corrections in the search for the steady speed, if the model has no
-resistance. Without resistance, the steady speed is ten times as high."""
+"""Factor on the number of corrections in the search for the steady speed of a model without axial
+resistance. This speed is ten times as high as with resistance."""
 STRIDES_FROM_REST = 60
 """Number of simulated strides from rest, sufficient to show whether the speed settles."""
 
 
 class PublishedPoint(NamedTuple):
-    """A published speed. `gaits` are alternative assumptions about quantities not published."""
+    """A published speed. `gaits` are alternative assumptions about the unpublished quantities."""
 
     name: str
     speed: float
-    """[m/s]"""
+    """Published speed [m/s]."""
     error: float
-    """[m/s]; assumed for the first point, because the paper does not give its error."""
+    """Error of the speed [m/s]. For `FIRST` it is assumed, because the paper gives no error."""
     gaits: dict[str, Gait]
 
 
@@ -185,7 +185,7 @@ class SpeedPrediction:
     predicts: str
     predicted_gait: str
     predicted: float
-    """[m/s]"""
+    """Predicted speed [m/s]."""
     published: float
 
     @property

@@ -20,7 +20,7 @@ from slider_jax.io.figures import new_figure
 from slider_jax.io.files import versions
 
 EQUIVALENT_SHARE = 0.8
-"""An effect is equivalent to the best effect if it removes more than this fraction of the error."""
+"""Effects that remove more than this fraction of `unresisted_error` are equivalent effects."""
 NEXT_SPEED_EXPERIMENT = (
     "Record the set pressures and the tail of the 5 Hz test. Tow the straight, unpowered robot at "
     "0.1 to 0.4 m/s, with and without the tubes, to measure the resistance without a model."
@@ -28,7 +28,7 @@ NEXT_SPEED_EXPERIMENT = (
 
 
 class CrossPrediction(NamedTuple):
-    """Simulations without axial resistance; predictions of each published speed from the other."""
+    """Simulations without axial resistance, and predictions of both published speeds."""
 
     before: list[UnresistedSwim]
     forward: list[SpeedPrediction]
@@ -43,14 +43,14 @@ def allowed_error() -> float:
 
 
 def unresisted_error(x: CrossPrediction) -> float:
-    """Returns the smallest error [m/s] of the steady speed at the optimum without resistance."""
+    """Returns the smallest error [m/s] of the optimum's steady speeds without axial resistance."""
     return min(b.steady for b in x.before if b.point == OPTIMUM.name) - OPTIMUM.speed
 
 
 def speeds_verdict(x: CrossPrediction) -> tuple[str, SpeedPrediction]:
     """Returns the verdict and the most accurate prediction with a coefficient in its prior range.
 
-    Each prediction assumes values of the quantities that the paper does not give. The verdict is
+    Each prediction assumes values for the quantities that the paper does not give. The verdict is
     "unexplained" if no prediction is within the allowed error. The verdict is "inconclusive" if the
     predictions within this error are fewer than half of all predictions by the best effect.
     """

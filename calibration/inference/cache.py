@@ -21,14 +21,14 @@ from slider_jax.io.files import input_file, replacing, tentative_folder, version
 
 @dataclass(frozen=True)
 class Memo:
-    """A folder with computed arrays. The name of a file is a digest of the computation's inputs."""
+    """A folder of cached arrays. The name of a file is a digest of the computation's inputs."""
 
     folder: Path
 
     def cached(
         self, name: str, arrays: Sequence[np.ndarray], make: Callable[[], list[np.ndarray]]
     ) -> list[np.ndarray]:
-        """Returns the cached result for `name` and `arrays`, or else the result of `make()`."""
+        """Returns the cached result for `name` and `arrays`, or stores and returns `make()`."""
         digest = hashlib.sha256(name.encode())
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
@@ -47,12 +47,12 @@ class Memo:
 def cached(
     memo: Memo | None, name: str, arrays: Sequence[np.ndarray], make: Callable[[], list[np.ndarray]]
 ) -> list[np.ndarray]:
-    """Returns `memo.cached(...)`, or `make()` without a memo."""
+    """Returns `memo.cached(name, arrays, make)`, or `make()` if `memo` is None."""
     return make() if memo is None else memo.cached(name, arrays, make)
 
 
 def source_digest() -> str:
-    """Returns the SHA-256 digest of the program's source files and of loaded files of effects."""
+    """Returns the SHA-256 digest of the source files of both packages and of `LOADED_FILES`."""
     folders = [Path(str(package.__file__)).parent for package in (slider_jax, calibration)]
     digest = hashlib.sha256()
     for path in (*(x for folder in folders for x in sorted(folder.rglob("*.py"))), *LOADED_FILES):
@@ -70,7 +70,7 @@ def input_settings(paths: Sequence[Path], folder: Path | None = None) -> dict[st
 def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
     """Yields a cache under `out` for a run with `settings`; deletes the cache if the run succeeds.
 
-    If a run was interrupted, a run with the same settings and program version uses its cache.
+    A run with the same settings and program version resumes with the cache of an interrupted run.
     """
     versioned = settings | {"versions": versions(), "code": source_digest()}
     key = hashlib.sha256(json.dumps(versioned, sort_keys=True).encode()).hexdigest()
@@ -81,8 +81,8 @@ def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
             print(f"resuming the interrupted run from {folder}", file=sys.stderr)
         for other in sorted(parent.glob(".unfinished-*")):
             if other != folder:
-                cause = "from an interrupted run with other data or another program version"
-                print(f"{other}: {cause}; delete the folder if this run has ended", file=sys.stderr)
+                cause = "cache of a run with other settings, data or program version"
+                print(f"{other}: {cause}; delete the folder if that run has ended", file=sys.stderr)
         folder.mkdir(exist_ok=True)
         try:
             yield Memo(folder)

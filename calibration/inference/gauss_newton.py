@@ -1,8 +1,8 @@
 """Least-squares fit of the extended model to measured trials by Gauss-Newton steps.
 
-Each iteration simulates the trials, and the derivatives (tangents) of their readings with respect
-to the free parameters. Optimistix's Levenberg-Marquardt then minimises the linearised sum of
-squares within the bounds. A step that does not lower the simulated sum of squares is shortened.
+Each iteration simulates the readings of the trials, and the derivatives (tangents) of the readings
+with respect to the free parameters. Optimistix's Levenberg-Marquardt then minimises the linearised
+sum of squares within the bounds. A step that does not lower the sum of squares is shortened.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,14 +19,14 @@ from calibration.inference.problem import AbstractProblem, ChannelBlock, summed,
 from calibration.model.extended import Parameter
 
 MAX_ITERATIONS = 24
-"""Most fits need 3 to 6 iterations; fits with an effect that replaces a part of the model more."""
+"""Most fits need 3 to 6 iterations. Fits need more if an effect replaces a part of the model."""
 GAIN_TOLERANCE = 0.02
 """A fit ends if the next step would lower the sum of squares by less than this multiple of the
 residual's mean square. The parameters are then within 1/7 standard error of the optimum."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
 """If the residual's mean square exceeds `POOR_FIT`, the model lacks an effect. Such a fit converges
-slowly, and is repeated with the missing effect. The fit therefore ends at the rough tolerance, with
-parameters within 2/3 standard error of the optimum."""
+slowly, and is repeated with the missing effect. `ROUGH_GAIN_TOLERANCE` therefore replaces
+`GAIN_TOLERANCE`, and the parameters are within 0.7 standard errors of the optimum."""
 
 
 class Fit(NamedTuple):
@@ -39,12 +39,12 @@ class Fit(NamedTuple):
     """Sum of squares of the whitened residuals."""
     samples: int
     blocks: list[ChannelBlock]
-    """Normal equations, linearised at `theta` along the `free` entries only."""
+    """Normal equations of each trial and channel for the `free` entries, linearised at `theta`."""
     predicted: list[np.ndarray]
     converged: bool
     difference: np.ndarray | None = None
-    """Shift (k,) of the fitted entries if the mean forces are not used, or 0 if the shift is not
-    significant. None before `uncertainty.hausman_check`."""
+    """Change (k,) of the fitted entries if the trials' mean forces are not used; 0 if the change is
+    not significant. None before `uncertainty.hausman_check`."""
     widening: np.ndarray | float = 1.0
     """Factor (k,) that widens the standard errors of entries with a significant `difference`."""
 
@@ -75,8 +75,8 @@ class Bounds(NamedTuple):
     def of(cls, entries: Sequence[Parameter]) -> "Bounds":
         """Returns the prior ranges as bounds.
 
-        If a range ends at the effect's null, the bound is a twentieth of the range beyond the null.
-        This allows a fit to reach the null, because a fit can approach but not reach a bound.
+        If a range ends at the effect's null, the bound is beyond the null by 5 % of the range. The
+        fit can then reach the null, although a fitted value only approaches its bounds.
         """
         low, high = [], []
         for p in entries:
@@ -90,7 +90,7 @@ class Bounds(NamedTuple):
         return self.low + (self.high - self.low) / (1.0 + jnp.exp(-z))
 
     def z_of(self, theta):
-        """Returns z of theta. The function first moves a theta at a bound by 1e-6 of the range."""
+        """Returns z of theta. A theta at a bound is first moved inside by 1e-6 of the range."""
         share = jnp.clip((theta - self.low) / (self.high - self.low), 1e-6, 1.0 - 1e-6)
         return jnp.log(share / (1.0 - share))
 
@@ -106,7 +106,7 @@ def inverse(A: np.ndarray) -> np.ndarray:
 
 
 def marginal_information(A: np.ndarray, group: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Returns the information on the entries `group` if the entries `free` are also unknown."""
+    """Returns the Fisher information on the entries `group` if the entries `free` are unknown."""
     cross = A[np.ix_(group, free)]
     return A[np.ix_(group, group)] - cross @ inverse(A[np.ix_(free, free)]) @ cross.T
 
@@ -122,8 +122,8 @@ def fit_gauss_newton(
     """Returns the fit of the entries `free` (indices) of `theta`; the other entries are fixed.
 
     A step is shortened if the simulation fails. The fit does not converge if the simulation or a
-    tangent at the start fails. `white` are the whiteners of the residuals (default: whiteners for
-    the start). Sums of squares of two fits are comparable only if both use the same whiteners.
+    tangent at the start fails. `white` are the whiteners of the residuals (default: computed from
+    the readings at the start). Only fits with the same whiteners have comparable sums of squares.
     """
     bounds = Bounds.of([entries[i] for i in free])
     directions = np.eye(len(theta))[free]

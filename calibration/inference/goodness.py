@@ -51,7 +51,7 @@ def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[st
 def channel_errors(
     problem: AbstractProblem, before: list[np.ndarray], after: list[np.ndarray]
 ) -> dict[str, dict[str, float]]:
-    """Returns rms errors "before" and "after", and noise "floor", in the unit of each channel."""
+    """Returns each channel's rms errors of two predictions, and its noise floor, in its unit."""
     start, end = rms_errors(problem, before), rms_errors(problem, after)
     floor = noise_floors(problem, after)
     return {c: {"before": start[c], "after": end[c], "floor": floor[c]} for c in end}

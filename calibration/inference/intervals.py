@@ -38,8 +38,8 @@ class RecordDerivatives(NamedTuple):
 def correlation_time(residual: np.ndarray) -> float:
     """Returns n divided by the effective number of independent samples of a residual (n,).
 
-    The formula is 1 + 2 c. c is the sum of the residual's autocorrelation up to its first zero. A
-    residual that repeats in every cycle has four to six independent samples per cycle.
+    The result is 1 + 2 c. Here c is the sum of the residual's autocorrelation up to its first zero.
+    A residual that repeats in every cycle has four to six independent samples per cycle.
     """
     x = residual - residual.mean()
     n = len(x)
@@ -53,7 +53,7 @@ def correlation_time(residual: np.ndarray) -> float:
 
 
 def student_quantile(freedom: float) -> float:
-    """Returns the two-sided Student quantile of `CONFIDENCE`."""
+    """Returns Student's two-sided 95 % quantile for `freedom` degrees of freedom."""
     return float(stdtrit(max(freedom, 1.0), 0.5 + 0.5 * CONFIDENCE))
 
 
@@ -61,7 +61,7 @@ def record_interval(log_value: float, record: RecordDerivatives) -> Interval:
     """Returns the interval of a least-squares fit to one record.
 
     The variance of log x is the sandwich estimate s^2 tau J.J/H^2. s^2 is the residual's variance,
-    and tau its `correlation_time`. If the residual is large, J.J differs from the curvature H.
+    and tau its `correlation_time`. H differs from J.J if the residual is large.
     """
     r, J, H = record
     n, time = len(r), correlation_time(r)
@@ -73,7 +73,7 @@ def record_interval(log_value: float, record: RecordDerivatives) -> Interval:
 
 
 def pooled_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
-    """Returns the interval of a common value, valid for these records and for further records.
+    """Returns the interval of a value that is common to these records and to further records.
 
     All records have the same weight. The variance is the sandwich estimate with one cluster per
     record: it uses the spread of J.r/n between the records, where n is the number of samples.
@@ -90,7 +90,7 @@ def pooled_interval(log_value: float, records: Sequence[RecordDerivatives]) -> I
 def within_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
     """Returns the interval of a value that is common to these records, but not to other records.
 
-    The variance sums the variances of all records, computed as in `record_interval`.
+    The variance is the sum of the variances of all records, computed as in `record_interval`.
     """
     variance = sum(_score_variance(x) * correlation_time(x.residual) for x in records)
     quantile = student_quantile(_effective_samples(records) - 1.0)
@@ -109,7 +109,7 @@ def _effective_samples(records: Sequence[RecordDerivatives]) -> float:
 def _pooled(
     log_value: float, records: Sequence[RecordDerivatives], variance: float, quantile: float
 ) -> Interval:
-    """Returns the interval from the `variance` of the summed scores and its Student quantile."""
+    """Returns the interval. `variance` is the variance of the sum of the records' scores J.r/n."""
     H = sum(x.curvature / len(x.residual) for x in records)
     JJ = sum(float(x.tangent @ x.tangent) / len(x.residual) for x in records)
     width = quantile * math.sqrt(variance) / H if H > 0.0 else math.inf
@@ -128,8 +128,8 @@ def _around(log_value: float, width: float, naive: float, effective: float) -> I
 def noise_floor(values: np.ndarray, order: int = 4) -> float:
     """Returns the standard deviation of the white noise in `values` (n,).
 
-    Differences of `order` cancel a signal that is smooth over a few samples. They multiply the
-    variance of white noise by binomial(2 order, order).
+    Differences of the given order cancel a signal that is smooth over a few samples, and multiply
+    the variance of white noise by binomial(2 order, order).
     """
     d = np.diff(values, order)
     return float(np.sqrt(np.mean(d**2) / math.comb(2 * order, order)))

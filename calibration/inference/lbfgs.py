@@ -1,10 +1,10 @@
 """Least-squares fit of many parameters by L-BFGS.
 
-The gradient of the sum of squares is -2 J r, with the residual r and the tangents J of the readings
-as in `gauss_newton`. Optax's L-BFGS computes the direction of a step in the unbounded variables z
-of `Bounds`, each scaled to unit curvature. A backtracking line search on the simulated sum of
-squares gives the length of the step. Many effects have nearly parallel tangents, which make a
-Gauss-Newton step long and inaccurate. L-BFGS does not invert the normal matrix and is not affected.
+The gradient of the sum of squares is -2 J r, with the whitened residual r and the tangents J of the
+whitened readings. Optax's L-BFGS computes the direction of a step in the unbounded variables z of
+`Bounds`, each scaled to unit curvature. A backtracking line search on the simulated sum of squares
+gives the length of the step. Many effects have nearly parallel tangents, which make a Gauss-Newton
+step long and inaccurate. L-BFGS avoids this, as it does not invert the normal matrix for its steps.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,15 +25,15 @@ MEMORY = 20
 """Number of past gradients that L-BFGS uses."""
 PREDICTED_GAIN_TOLERANCE = 0.003
 """The fit ends if the predicted reduction of the sum of squares is less than this multiple of the
-residual's mean square. Every parameter is then within 0.06 standard errors of the optimum."""
+residual's mean square. All parameters are then within 0.06 standard errors of the optimum."""
 MAX_SCALE_CHANGE = 2.0
 """L-BFGS restarts if the square root of a variable's curvature changes by more than this factor."""
 ARMIJO_SHARE = 1e-4
-"""A step must reduce the sum of squares by at least this fraction of slope times step (Armijo)."""
+"""Armijo's rule: a step must give at least this fraction of the linearly predicted reduction."""
 STEP_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Fractions of a step that the line search tries, in this order."""
 MAX_STEP = 2.0
-"""Largest step of an unbounded variable. A parameter then moves from 50 to 88 % of its range."""
+"""Largest step of a variable z. From mid-range, it moves a parameter to 88 % of its range."""
 
 
 def fit_lbfgs(
@@ -72,7 +72,7 @@ def fit_lbfgs(
         fresh = state is None or bool(np.any(change > np.log(MAX_SCALE_CHANGE)))
         if fresh:
             scale, state = now, optimiser.init(jnp.asarray(z * now))
-        with jax.numpy_dtype_promotion("standard"):  # optax mixes widths of integers
+        with jax.numpy_dtype_promotion("standard"):  # optax mixes integer types
             updates, state = optimiser.update(
                 jnp.asarray(gradient / scale), state, jnp.asarray(z * scale)
             )

@@ -2,8 +2,8 @@
 
 A sensor's noise has three parts: white noise (with quantisation), slow noise with the correlation
 time `slow_time`, and a tare that is constant in a trial. Two further parts are proportional to the
-signal: a gain that differs between trials, and the model-discretisation discrepancy. The sizes of
-these two parts are constants of `slider_jax.channels`. Smaller effects cannot be identified.
+signal: a gain that differs between trials, and the model-discretisation discrepancy. Both sizes are
+constants of `slider_jax.channels`. An effect smaller than these two parts cannot be identified.
 """
 
 from typing import NamedTuple
@@ -19,8 +19,8 @@ DISCREPANCY_TIME = 0.02
 """Correlation time of the model-discretisation discrepancy within a stride [s]. It depends on the
 beam, not on the drive."""
 DISCREPANCY_STRIDES = 10.0
-"""Correlation time of the discrepancy between strides, in strides. The measured correlation between
-one stride and the next is 0.86 to 0.94, so a mean over strides hardly reduces the discrepancy."""
+"""Number of strides in which the discrepancy's correlation decreases to 1/e. The measured
+correlation of successive strides is 0.86 to 0.94, so a mean over strides hardly reduces it."""
 MAX_SAMPLES = 1250
 """Largest number of samples in a whitened series. Neighbouring samples of longer series are
 averaged in groups, to limit the size of the covariance matrix."""
@@ -49,7 +49,7 @@ def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> No
     elif kind == "pressure":
         white = float(np.hypot(white, quantisation_step(there) / np.sqrt(12.0)))
     if kind == "camera":
-        # If the robot still swings at the start, its initial position is not its rest position.
+        # A robot that still swings at the start is not at rest, so the tip's tare has an error.
         return Noise(white, tare=sensors.start_swing)
     if kind == "force":
         return Noise(white, sensors.force_slow_noise, sensors.force_slow_time, sensors.force_tare)
@@ -68,11 +68,11 @@ def quantisation_step(values: np.ndarray) -> float:
 
 
 class Whitener:
-    """Whitens series of one trial and channel: independent samples of unit variance.
+    """Transforms series of one trial and channel to independent samples of unit variance.
 
     `t` (n,) [s] are the sample times. `model` (n,) are the predicted readings, which scale the
     noise that is proportional to the signal. If `frequency` [Hz] is given, the model-discretisation
-    discrepancy is correlated between strides. Tare, gain and `spans` (k, n) are marginalised. A
+    discrepancy is correlated between strides. Tare, gain and `spans` (k, n) are marginalised. Each
     span is a series that is multiplied by an unknown random factor of unit variance.
     """
 
@@ -105,7 +105,7 @@ class Whitener:
         return series[:, : self._n].reshape(len(series), -1, self._group).mean(axis=2)
 
     def __call__(self, series: np.ndarray) -> np.ndarray:
-        """Returns the whitened series (k, m) of `series` (k, n); non-finite values are kept."""
+        """Returns the whitened series (k, m) of `series` (k, n). NaN and inf raise no error."""
         averaged = self._averaged(np.atleast_2d(series))
         return solve_triangular(self._factor, averaged.T, lower=True, check_finite=False).T
 
@@ -114,7 +114,7 @@ def _discrepancy_correlation(lag: np.ndarray, frequency: float | None) -> np.nda
     """Returns the correlation of the model-discretisation discrepancy at a time `lag` [s].
 
     Within a stride, the correlation decreases exponentially with the chord between two phases on a
-    circle. The correlation is high again after each stride, and decreases slowly with strides.
+    circle. The correlation is high again after each stride, but lower with every further stride.
     """
     if not frequency:
         return np.exp(-lag / DISCREPANCY_TIME)

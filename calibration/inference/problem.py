@@ -5,7 +5,7 @@ For every trial and channel, the normal equations contain
     A = J J^T,    b = J r,    c = r.r
 
 with the whitened residual r (n,) and the derivatives J (parameters, n) of the whitened readings.
-Fits, cross-validation and equivalence classes use only sums of A, b and c.
+Fits, cross-validation and equivalence classes are computed from sums of A, b and c only.
 """
 
 from abc import ABC, abstractmethod
@@ -50,7 +50,7 @@ FAILED = 1e12
 
 
 class ChannelBlock(NamedTuple):
-    """Normal equations of one trial and channel at one parameter vector."""
+    """Normal equations of one trial and channel (`n` samples) at one parameter vector."""
 
     trial: int
     channel: str
@@ -69,9 +69,9 @@ class Affine(NamedTuple):
     """Map from a fitted vector x to the parameters of one trial: offset + matrix x."""
 
     offset: np.ndarray
-    """(parameters,)"""
+    """Parameters (parameters,) of the trial for x = 0."""
     matrix: np.ndarray
-    """(parameters, entries of x)"""
+    """Derivative (parameters, entries of x) of the parameters with respect to x."""
 
     def at(self, x: np.ndarray) -> np.ndarray:
         return self.offset + self.matrix @ x
@@ -98,9 +98,9 @@ class AbstractProblem(ABC):
 
     @abstractmethod
     def spans(self) -> list[np.ndarray] | None:
-        """Returns the change (2, channels, samples) of every trial's readings by the initial swing.
+        """Returns changes (2, channels, samples) of each trial's readings by the initial swing.
 
-        Returns None if the trials start at rest.
+        The two changes are for the swing's position and speed. None: the trials start at rest.
         """
 
     def predict(self, theta: np.ndarray) -> list[np.ndarray]:
@@ -114,14 +114,14 @@ class AbstractProblem(ABC):
         )
 
     def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Returns changes (k, channels, samples) of each trial's readings for k `others`."""
+        """Returns changes (k, channels, samples) of trials' readings from `theta` to `others`."""
         return self._cached("secants", [theta, *others], lambda: self._secants(theta, others))
 
     def _cached(self, kind: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
         return cached(self.memo, f"{kind} {[r.trial.file for r in self.records]}", arrays, make)
 
     def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
-        """Returns the whitener of every trial and channel; `predicted` are all trials' readings."""
+        """Returns the whitener of every trial and channel; `predicted` are the model's readings."""
         swing = self.spans()
 
         def one(key):
@@ -172,9 +172,9 @@ class TankProblem(AbstractProblem):
     fine: list[TrialPlan]
     coarse: list[TrialPlan]
     mesh: Resolution = COARSE
-    """Resolution of the tangents."""
+    """Mesh and time step of the simulations that give the tangents."""
     maps: tuple[Affine, ...] | None = None
-    """Map from the fitted vector to the parameters of each trial. None: identical parameters."""
+    """Map from the fitted vector to each trial's parameters. None: all trials use the vector."""
     swing: Swing | None = None
 
     @classmethod

@@ -16,15 +16,15 @@ from slider_jax.channels import BUILT_IN, CHANNELS
 
 BASE_DISCREPANCY = {"C_d": 0.004, "m_a": 0.010, "k": 0.0005, "K_Q": 0.0023}
 """Relative standard deviation of fitted base parameters between two correct implementations of the
-model. The noise model contains a further part that differs between trials. Each value is the
-quadratic mean of two rms values from fits to simulations without noise. The first rms values, 0.4,
-0.8, 0.02 and 0.3 %, are from simulations of three tanks with seven meshes and time steps. The
-second, 0.35, 1.2, 0.07 and 0.12 %, are from four tanks of a separately written program."""
+model. The part that differs between trials is in the noise model instead. Each value is the root
+mean square of two rms deviations from fits to simulations without noise. The first deviations, 0.4,
+0.8, 0.02 and 0.3 %, are from three tanks, simulated with seven meshes and time steps. The second
+deviations, 0.35, 1.2, 0.07 and 0.12 %, are from four tanks of the independent program."""
 EFFECT_DISCREPANCY = 0.02
-"""Relative standard deviation of an effect's parameter between two such implementations."""
+"""Relative standard deviation of an effect's parameter between two correct implementations."""
 FORCES = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "force")
 FREED_TARE = 1e3
-"""Tare of a force in Hausman's test, divided by the larger one of noise and declared tare."""
+"""Tare of a force in Hausman's test, divided by the larger of white noise and declared tare."""
 HAUSMAN_LIMIT = 2.0
 """Two estimates differ significantly if the difference exceeds this number of standard errors."""
 
@@ -37,7 +37,7 @@ def discretisation_share(p: Parameter) -> float:
 def confidence_interval(
     fit: Fit, entries: Sequence[Parameter], index: int
 ) -> tuple[float, float, float]:
-    """Returns value, lower and upper 95 % bound of the fitted entry `index`."""
+    """Returns the value of the fitted entry `index`, and both ends of its 95 % interval."""
     place = int(np.flatnonzero(fit.free == index)[0])
     value, p = float(fit.theta[index]), entries[index]
     error = float(np.hypot(fit.errors[place], discretisation_share(p) * value))

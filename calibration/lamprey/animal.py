@@ -1,4 +1,4 @@
-"""Computes the forces of the robot model's effects on the body of an animal with a given motion.
+"""Computes the forces of the robot model's effects on an animal whose motion is prescribed.
 
 The motion is converted to a `Section`, the state of a cell from which an effect computes a force.
 Animal and robot thus use the same code of the effects. Depth and mass vary along the animal.
@@ -61,7 +61,7 @@ class CrossSections:
 
 
 class AnimalBody(eqx.Module):
-    """The cross-sections in the cells between the nodes of a motion, constant in time."""
+    """Cross-sections of the animal in the cells between the nodes. They do not change in time."""
 
     structure: Structure
     width: Float[Array, " cells"]
@@ -104,14 +104,14 @@ def body_on_nodes(shape: CrossSections, s: np.ndarray) -> AnimalBody:
 
 
 class PrescribedMotion(eqx.Module):
-    """A body and its `Section` at every time, the input of the effects. Time is the first axis."""
+    """A body, and the sections `x` from which effects compute forces. Axis 0 of `x` is time."""
 
     body: AnimalBody
     x: Section
 
 
 def prescribe(motion: Motion, shape: CrossSections) -> PrescribedMotion:
-    """Returns body and sections for a body of the given `shape` in water at rest."""
+    """Returns body and sections of an animal with this motion and shape in water at rest."""
     return _prescribe(jax.tree.map(jnp.asarray, motion), body_on_nodes(shape, motion.s))
 
 

@@ -44,17 +44,17 @@ CANDIDATES = ("tangential_friction", "thinned_friction", "head_drag")
 """Effects that the robot's model omits."""
 
 C_D_RANGE = (1.0, 4.0)
-"""Range of C_d: 1 for a smooth round section in steady flow, 4 is the paper's largest value."""
+"""Range of C_d, from 1 (smooth round section in steady flow) to 4 (the paper's largest value)."""
 M_A_RANGE = (0.7, 1.1)
 """Range of m_a: below 1 if the fins shed vortices ahead of the tail, above 1 for thick sections."""
 ASPECT_RANGE = (1.1, 1.9)
-"""Range of depth divided by width. 1.1 is nearly round; above 1.9, the mass would be too large."""
+"""Range of depth divided by width: nearly round at 1.1; above 1.9, the mass would be too large."""
 TAIL_RANGE = (0.025, 0.055)
 """Range of the depth at the tail's end, in body lengths."""
 LENGTH_ERROR = 0.01
 """Relative standard deviation of the body length: half the spread of the traced lengths."""
 SMOOTHING_FACTORS = (0.75, 1.5)
-"""Range of random factors on the smoothing's wavelength and on 1/cutoff frequency."""
+"""Range of random factors of the smoothing's wavelength and of 1/(cutoff frequency)."""
 MOTIONS, SAMPLES = 24, 400
 """Number of alternative motions, and number of random samples for an interval."""
 
@@ -131,8 +131,8 @@ def central_interval(values: np.ndarray) -> tuple[float, float]:
 def stride_weights(strides: int, samples: int, rng: np.random.Generator) -> np.ndarray:
     """Returns bootstrap weights of the strides, (samples, strides).
 
-    With few strides, a plain bootstrap interval is too narrow, because the variance is biased and
-    the distribution is nearly normal. The weights are scaled to give Student's interval of a mean.
+    With few strides, a plain bootstrap interval is too narrow: its variance is too small, and its
+    quantiles are normal instead of Student's. The weights are scaled to give Student's interval.
     """
     picked = rng.multinomial(strides, np.full(strides, 1.0 / strides), size=samples) / strides
     student = stats.t.ppf(0.975, strides - 1) / stats.norm.ppf(0.975)
@@ -143,7 +143,7 @@ def stride_weights(strides: int, samples: int, rng: np.random.Generator) -> np.n
 def alternative_motions(
     midlines: Midlines, smoothing: Smoothing, rng: np.random.Generator, count: int = MOTIONS
 ) -> list[Motion]:
-    """Returns `count` motions of `midlines` with random smoothing, body length, tracing noise."""
+    """Returns `count` motions with random smoothing, body length and tracing noise."""
     across = float(np.median(midlines.lengths)) / (midlines.points.shape[1] - 1)
     noise = white_noise(measured_angles(midlines).phi) * across / np.sqrt(2.0)
     sigma = np.concatenate([noise[:1], noise])

@@ -41,8 +41,8 @@ from slider_jax.effects import ForceDensity, NormalDrag, ReactiveForce
 
 WIDTH_COLUMN = "ammowidth"
 WIDTH_OVER_HALF_WIDTH = 2.0
-"""Factor from the widths in the file, assumed to be half widths, to full widths. If the file had
-full widths, the animal of 155 mm would have a mass of 1 g instead of about 5 g (sea lamprey)."""
+"""Full width divided by the width in the file, which is assumed to be half of the full width. With
+full widths in the file, the mass would be 1 g, but a sea lamprey of 155 mm has about 5 g."""
 MIN_POSSIBLE_SHARE = 0.1
 """An effect can close the balance if the required coefficient is within the prior range in at least
 this fraction of the random samples."""
@@ -167,9 +167,9 @@ def balance_verdict(x: BalanceAnalysis) -> tuple[str, list[str]]:
 
 
 def imbalance_errors(x: BalanceAnalysis, closer: str) -> dict[str, float]:
-    """Returns the strides' rms imbalance [N] without and with the effect `closer`, and noise floor.
+    """Returns the strides' rms imbalance [N] before and after adding `closer`, and the noise floor.
 
-    For "after", the effect's coefficient for a stride is computed from all other strides.
+    `closer` is an effect. Its coefficient for each stride is computed from all other strides.
     """
     before, unit = x.imbalance, x.forces.unit[closer]
     after = before - unit * (before.sum() - before) / (unit.sum() - unit)

@@ -31,7 +31,7 @@ class Midlines:
     points: np.ndarray
     """Positions x and y (frames, points, 2) [m], from head to tail."""
     incomplete_frames: int
-    """Number of frames that are not used."""
+    """Number of frames in the file that the analysis omits."""
 
     @property
     def lengths(self) -> np.ndarray:
@@ -61,7 +61,7 @@ def read_midlines(path: Path) -> Midlines:
             f"for each of the points 1 to {count}, in this order; sort or complete the rows"
         )
     if count < MIN_POINTS:
-        raise InputError.value(f"{path}, column point", count, f"at least {MIN_POINTS} a frame")
+        raise InputError.value(f"{path}, column point", count, f"at least {MIN_POINTS} per frame")
     points = 1e-3 * np.stack([table["mxmm"], table["mymm"]], axis=1).reshape(-1, count, 2)
     t = table["t"].reshape(-1, count)
     if np.ptp(t, axis=1).max() > 0.0 or np.any(np.diff(t[:, 0]) <= 0.0):
@@ -87,8 +87,8 @@ def _check(path: Path, midlines: Midlines, frames: np.ndarray) -> None:
     if np.ptp(steps) > 0.01 * np.median(steps):
         late = int(frames[1 + np.argmax(np.abs(steps - np.median(steps)))])
         raise InputError(
-            f"{path}, frame {late}: times between two frames are up to {steps.max():g} s, but the "
-            f"median is {np.median(steps):g} s; allowed are equal times; cut the file at this frame"
+            f"{path}, frame {late}: the time between two frames is up to {steps.max():g} s, the "
+            f"median {np.median(steps):g} s; allowed: equal times; end the file before this frame"
         )
     lengths = midlines.lengths
     length = float(np.median(lengths))
@@ -102,7 +102,7 @@ def _check(path: Path, midlines: Midlines, frames: np.ndarray) -> None:
         raise InputError(
             f"{path}, frame {frames[np.argmax(off)]:g}: the midline is "
             f"{1e3 * lengths[np.argmax(off)]:.1f} mm long, the median length is "
-            f"{1e3 * length:.1f} mm; allowed is a difference of {MAX_STRETCH:.0%}, because an "
+            f"{1e3 * length:.1f} mm; the allowed difference is {MAX_STRETCH:.0%}, because an "
             "animal does not stretch; remove this frame, or trace the frame again"
         )
     moved = np.hypot(*np.diff(midlines.points[:, 0], axis=0).T)

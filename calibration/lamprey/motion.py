@@ -145,7 +145,7 @@ def _noise_frequency(phi: np.ndarray, interval: float) -> float:
 
 
 def twicing_spline(x: np.ndarray, series: np.ndarray, cutoff: float) -> Callable[..., np.ndarray]:
-    """Returns a function (at, n): n-th derivative at `at` of the series, smoothed with `cutoff`."""
+    """Returns f(at, n), the n-th derivative at `at` of `series`, smoothed with the `cutoff`."""
     weight = 1.0 / (np.mean(np.diff(x)) * (2.0 * math.pi * cutoff / _TWICING_RATIO) ** 4)
     first = make_smoothing_spline(x, series, lam=weight)
     second = make_smoothing_spline(x, series - first(x), lam=weight)
@@ -167,7 +167,7 @@ def midline_motion(midlines: Midlines, smoothing: Smoothing, length: float | Non
 def motion_from_angles(
     t: np.ndarray, s: np.ndarray, phi: list[np.ndarray], head: list[np.ndarray]
 ) -> Motion:
-    """Returns the motion; `phi` is [phi, dphi/dt, d2phi/dt2], `head` likewise for its position."""
+    """Returns the motion. `phi` is [phi, dphi/dt, d2phi/dt2], `head` is [r, V, A] of the head."""
     ds = np.diff(s)
     angle, omega, turn = (0.5 * (x[:, 1:] + x[:, :-1]) for x in phi)
     tau = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -99,7 +99,7 @@ def animal_record(
 
 
 def closing_effects(x: BalanceAnalysis, candidates: list[str]) -> list[dict[str, Any]]:
-    """Returns the record of the most probable effect, which also names the equivalent effects."""
+    """Returns a list with one record: the most probable effect and its equivalents. May be []."""
     if not candidates:
         return []
     first, *others = candidates

@@ -42,7 +42,7 @@ class Strides(NamedTuple):
         )
 
     def gains(self, t: np.ndarray, series: np.ndarray) -> np.ndarray:
-        """Returns the mean rate of change (strides, ...) of `series` (times, ...) per stride."""
+        """Returns the change per second (strides, ...) of `series` (times, ...) in each stride."""
         spans = _column(np.diff(self.marks), series)
         return np.diff(_interpolate(self.marks, t, series), axis=0) / spans
 

@@ -4,11 +4,11 @@ For each channel and window of readings, the test computes log(mean square of re
 
     band^2 = noise^2 + (share S)^2
 
-S is the rms of the predicted reading in this window, or in the first windows if larger. Noise and
-share are declared, but a larger share is learned from the first windows. The logarithm is
-standardised with the mean and the standard deviation of the first windows. A positive value counts
-only if the residual is outside the band. A one-sided cumulative sum (CUSUM) adds one value per
-window. Source: Page, E. S. (1954), Continuous inspection schemes, Biometrika 41, 100-115.
+S is the rms of the predicted reading in this window, or in the first windows if larger. `share` is
+the declared relative error of the model, or a larger value that is learned from the first windows.
+The logarithm is standardised with its mean and standard deviation in the first windows. A positive
+value counts only if the residual is outside the band. A one-sided cumulative sum (CUSUM) adds one
+value per window. Source: Page, E. S. (1954), Continuous inspection schemes, Biometrika 41, 100-115.
 """
 
 import math
@@ -25,11 +25,11 @@ from slider_jax.experiment.schema import SensorsTable
 REFERENCE, THRESHOLD = 2.0, 6.0
 """Reference value and threshold of the CUSUM, in standard deviations (see `run_length`)."""
 MAX_DEVIATION = 5.0
-"""Largest deviation that the CUSUM adds for one window, so that an alarm needs two windows."""
+"""Largest deviation that the CUSUM adds for one window, so that an alarm needs three windows."""
 MIN_SPREAD = 0.25
 """Smallest standard deviation of the logarithm. An estimate from few windows may be too small."""
 MAX_LEARNED_SHARE = (0.1, 0.1, 0.4, 0.4, 0.2)
-"""Largest share that is learned for each channel. A larger residual indicates a wrong model."""
+"""Largest learned `share` of each channel. A larger residual indicates a wrong model."""
 MAX_MISFIT = (0.04, 0.04, 0.25, 0.12, 0.12)
 """Largest relative residual (rms/S) of each channel in the first windows that is not reported as a
 misfit. With a calibrated model, the relative residual is 0.01 for the pressures, 0.15 for thrust,
@@ -65,7 +65,7 @@ class Window(NamedTuple):
     model: np.ndarray
     """Predicted readings (channels, n)."""
     derivatives: np.ndarray
-    """Derivatives (parameters, channels, n) of the model with respect to `PARAMETERS`."""
+    """Derivatives (parameters, channels, n) of `model` with respect to `block.PARAMETERS`."""
     faulty: np.ndarray
     """Pressures (faults, 2, n) [Pa] with each of `FAULT_HYPOTHESES`."""
 
@@ -113,13 +113,13 @@ class Bands:
     share: np.ndarray
     reference_size: np.ndarray
     mean: np.ndarray = field(default_factory=lambda: np.zeros(5))
-    """Mean of the windows' logarithms without a fault."""
+    """Mean (channels,) of the logarithm over windows without a fault."""
     spread: np.ndarray = field(default_factory=lambda: np.full(5, MIN_SPREAD))
-    """Standard deviation of the windows' logarithms without a fault."""
+    """Standard deviation (channels,) of the logarithm over windows without a fault."""
 
     @classmethod
     def declared(cls, sensors: SensorsTable, windows: list[Window]) -> "Bands":
-        """Returns the bands of the declared noise. Undeclared white noise is estimated."""
+        """Returns bands for the declared noise. White noise that is not declared is estimated."""
         values = np.concatenate([w.measured for w in windows], axis=1)
         size = np.sqrt(np.mean([w.size**2 for w in windows], axis=0))
         noise = MIN_NOISE * np.maximum(size, 1e-12)
@@ -149,7 +149,7 @@ class Bands:
         return bands
 
     def variance(self, window: Window) -> np.ndarray:
-        """Returns band^2, (channels,)."""
+        """Returns the squared band of each channel in a window, (channels,)."""
         return self.noise**2 + (self.share * np.maximum(window.size, self.reference_size)) ** 2
 
     def deviation(self, window: Window) -> np.ndarray:
@@ -174,16 +174,16 @@ class Alarm(NamedTuple):
     channels: tuple[str, ...]
     """Names of the channels outside their bands."""
     hint: str
-    """The probable cause."""
+    """Probable cause of the alarm in words; empty if there is no alarm."""
 
 
 NO_ALARM = Alarm(False, (), "")
 
 
 class SequentialTest:
-    """The sequential test of all channels, with the evidence for each cause of an alarm.
+    """The sequential test of all channels, with the evidence for each possible cause of an alarm.
 
-    A CUSUM is limited to twice the threshold, so that an alarm ends soon after its cause.
+    A CUSUM is limited to twice the threshold, so that an alarm ends soon after the fault ends.
     """
 
     def __init__(self, bands: Bands):
@@ -233,7 +233,7 @@ class SequentialTest:
         if on[:2].any():
             return "; ".join(self._chamber(int(i)) for i in np.flatnonzero(on[:2]))
         channels = ", ".join(c for c, x in zip(BUILT_IN, on, strict=True) if x)
-        # A changed tail may have another stiffness and another length, so both are fitted together.
+        # The stiffness and the length of a tail may change, so they are fitted together.
         tail, K_Q = self._explained([1, 2]), self._explained([0])
         if max(K_Q, tail) < MIN_EXPLAINED:
             return f"body, tail or sensors of {channels}; the pressures fit the model"
@@ -241,8 +241,8 @@ class SequentialTest:
         return f"{cause}: the pressures fit the model, but {channels} do not"
 
     def _explained(self, which: list[int]) -> float:
-        """Returns the fraction of the mean square of thrust, recoil and tip residuals that changes
-        of the parameters `PARAMETERS[1:]` with the indices `which` explain."""
+        """Returns the fraction by which new values of `PARAMETERS[1:]` with the indices `which`
+        reduce the mean square of the residuals of thrust, recoil and tip."""
         A, b = self._normal[np.ix_(which, which)], self._pull[which]
         size = np.sqrt(np.maximum(np.diag(A), 1e-300))
         x = np.linalg.lstsq(A / np.outer(size, size), b / size, rcond=1e-6)[0]

@@ -1,7 +1,7 @@
-"""Simulates the rig during one block of a live stream. Each call returns the state for the next.
+"""Simulates the rig during one block of a live stream, and returns the state for the next block.
 
 The lag model predicts the chambers' pressures from the set pressures. The measured pressures drive
-the body, so that a fault of the pressures does not change the residuals of thrust, recoil and tip.
+the body, so that a pneumatic fault does not change the residuals of thrust, recoil and tip.
 """
 
 from collections.abc import Callable
@@ -30,8 +30,8 @@ from slider_jax.experiment.schema import Trial
 PARAMETERS = ("k", "K_Q", "EI_tail", "tail_length")
 """Parameters with respect to which derivatives of the readings are computed, in this order."""
 HISTORY = 100
-"""Number of set pressures and instrument inputs before a block that the simulation of the block
-uses. At 500 Hz, this number is 0.2 s, longer than any dead time or filter of an effect."""
+"""Number of samples before a block (set pressures, true readings) that the block's simulation uses.
+At 500 Hz, 100 samples are 0.2 s, which is longer than any dead time or filter of an effect."""
 
 
 class ChamberFault(Flow):
@@ -94,7 +94,7 @@ class BlockState(eqx.Module):
     """Thrust [N], recoil [N] and tip [m] at the end of the block."""
     d_last: Float[Array, "bodies 3"]
     past: Float[Array, "past 5"]
-    """Last true readings, the inputs of effects on sensors; empty if there is no such effect."""
+    """Last true readings, to which effects on sensors are applied; empty without such effects."""
     d_past: Float[Array, "values past 5"]
 
 
@@ -121,7 +121,7 @@ class BlockLayout:
 
 
 def live_model(experiment: Experiment, trial: Trial) -> Model:
-    """Returns the model of a trial with the experiment's k. Each block replaces the zero drive."""
+    """Returns a trial's model with the experiment's k and zero drive. Each block sets the drive."""
     wave = Recorded(jnp.zeros(2), jnp.zeros(2))
     return replace(
         to_model(experiment, trial),
@@ -193,7 +193,7 @@ def _block(
 ):
     state = _extrapolated(state, values)
     at = t0 + layout.period * jnp.arange(layout.samples + 1.0)
-    # A chamber fills much more slowly than the sample period, so a mean set pressure is sufficient.
+    # A chamber fills in many sample periods, so the mean set pressure of a period is sufficient.
     since = t0 + layout.period * jnp.arange(-HISTORY - 1.0, float(layout.samples))
     front, rear = (Held(since, x) for x in set_pressure)
     lag = FirstOrderLag(values[0])

@@ -22,12 +22,12 @@ class ParameterEstimate(NamedTuple):
 
 @dataclass
 class RecursiveEstimator:
-    """Least squares over windows. The weight of a window decreases by 1/e in `memory` windows.
+    """Least squares over windows. The weight of a window decreases to 1/e in `memory` windows.
 
-    For a window, J are the derivatives with respect to the parameter, at its value theta_w. r are
-    the residuals with the variances var. The window adds g = sum(J r/var), H = sum(J^2/var) and
-    c = g + H theta_w. The estimate is theta = sum(c)/sum(H), with weighted sums over the windows.
-    The spread of c - H theta between the windows gives the standard deviation. The memory is two
+    theta_w is the value of the parameter in a window. J are the derivatives of the readings with
+    respect to the parameter; r are the residuals, with the variances var. A window gives
+    g = sum(J r/var), H = sum(J^2/var) and c = g + H theta_w. The estimate is theta = sum(c)/sum(H).
+    The spread of c - H theta between the windows gives the standard deviation. `memory` is two
     windows at first and then grows, because theta_w of the first windows may be far from theta.
 
     Source: Ljung, L. (1999), System Identification, 2nd ed., ch. 11. The standard deviation is a
@@ -74,8 +74,8 @@ class RecursiveEstimator:
 def lag_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
     """Returns g and H for k from the pressures of a window, for `RecursiveEstimator.update`.
 
-    Set pressures change between two readings, and valves have dead times. Both shift the pressures
-    in time. The part of the derivative that equals a time shift is therefore removed.
+    Changes of the set pressure between two readings, and dead times of the valves, shift the
+    pressures in time. The part of the derivative that equals a time shift is therefore removed.
     """
     J = window.derivatives[0, :2] * np.isfinite(window.residual[:2])
     shift = np.gradient(window.model[:2], axis=1) * np.isfinite(window.residual[:2])

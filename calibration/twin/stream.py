@@ -9,7 +9,7 @@ import numpy as np
 from slider_jax.errors import InputError
 
 MAX_GAP = 0.2
-"""Longest gap [s] in a block; the block has NaN there. After a longer gap, new blocks begin."""
+"""Longest gap [s] that is filled with NaN. After a longer gap, a new block begins."""
 
 
 class Samples(NamedTuple):
@@ -53,7 +53,7 @@ class UniformBlock(NamedTuple):
 
 @dataclass
 class GapFiller:
-    """Assigns readings to evenly spaced times with `period` [s], in blocks of `samples` times."""
+    """Assigns readings to times with the spacing `period` [s]. A block has `samples` times."""
 
     period: float
     samples: int

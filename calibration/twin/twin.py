@@ -4,9 +4,9 @@
     for block in twin.feed(readings):          # call this whenever readings arrive
         block.model, block.residual, block.k, block.K_Q, block.alarm
 
-After `WARM_UP`, the twin learns the bands (the normal ranges of the residuals) from some strides.
-Then the twin tests each window of readings. While no residual exceeds its band, the twin also
-updates k and K_Q.
+After `WARM_UP`, the twin learns the bands (the normal ranges of the residuals) for `learn` seconds.
+After this time, the twin tests each window of readings. While no residual exceeds its band, the
+twin also updates k and K_Q.
 """
 
 import time
@@ -41,7 +41,7 @@ from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import FEWEST_NODES, Trial
 
 WARM_UP = 2.0
-"""Time [s] after which the initial shape has no influence, and k and K_Q are nearly correct."""
+"""Time [s] until the initial shape has no influence, and k and K_Q are nearly correct."""
 SETTLING, SETTLING_AFTER_RESTART = 0.3, 1.0
 """Times [s] without a test: after a filled gap (3 to 4 time constants k), and after a restart."""
 NEGLIGIBLE_GAP = 0.01
@@ -170,7 +170,7 @@ class Twin:
         self._raw_windows: list[Window] = []
         self.misfits: dict[str, tuple[float, float]] = {}
         """Channels with too large residuals while the bands were learned: rms of the residual in SI
-        units, and rms divided by S. The test accepts such residuals and cannot detect the fault."""
+        units, and rms divided by S. The learned bands include them, so they cause no alarm."""
         self._means = 0
         self._tare = np.zeros(len(BUILT_IN))
         self._d_tare = np.zeros((len(PARAMETERS), len(BUILT_IN)))
@@ -216,7 +216,7 @@ class Twin:
         return self._K_Q.estimate.with_share(SYSTEMATIC_K_Q)
 
     def _predict(self, block: UniformBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns the fields of `BlockPrediction`. After a restart, p is the measured pressure."""
+        """Returns the fields of `BlockPrediction`. A restart sets p to the measured pressure."""
         state = self._state
         if block.restarted:
             self._past = np.repeat(block.set_pressure[:, :1], HISTORY + 1, axis=1)
@@ -310,7 +310,7 @@ class Twin:
 def _aligned_forces(window: Window, period: float) -> Window:
     """Returns the window with the measured forces shifted in time to fit the model best.
 
-    A shift above `MAX_CLOCK_SHIFT` is omitted. `derivatives` lose the part that equals a shift.
+    A shift above `MAX_CLOCK_SHIFT` is not applied. The shift is also removed from `derivatives`.
     """
     forces = slice(2, 4)
     model, residual = window.model[forces], window.residual[forces]
