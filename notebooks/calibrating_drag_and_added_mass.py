@@ -91,18 +91,17 @@ plt.show()
 
 # %% [markdown]
 # In the upper plot, "before" is the simulation with the initial parameters, and "calibrated" is the
-# simulation with the fitted parameters. In each trial, the sensors have another tare (offset) and
-# another gain. The calibration does not fit tares and gains. Tares and gains are treated as noise
-# that is correlated in time. A constant shift of the residual is therefore no sign of a wrong
-# model.
+# simulation with the fitted parameters. The tare (offset) and the gain of each sensor differ from
+# trial to trial. The calibration does not fit tares and gains, but treats them as noise that is
+# correlated in time. A constant shift of the residual is therefore no sign of a wrong model.
 #
 # ## Uncertainty
 #
-# The drag and the added-mass force both act normal to the body, but a quarter of a stride apart.
-# The drag depends on the velocity of the crossflow. The added-mass force depends on the
-# acceleration of the crossflow. The data can therefore discriminate between C_d and m_a. The
-# ellipse shows the 95 % confidence region from the noise alone. The cross shows the reported 95 %
-# intervals. These intervals also include the discretisation error of the model.
+# The drag and the added-mass force both act normal to the body, but with a phase difference of a
+# quarter of a stride. The drag depends on the velocity of the crossflow. The added-mass force
+# depends on the acceleration of the crossflow. The data can therefore discriminate between C_d and
+# m_a. The ellipse shows the 95 % confidence region from the noise alone. The cross shows the
+# reported 95 % intervals. These intervals also include the discretisation error of the model.
 
 # %%
 labels = [p.label for p in found.entries]
@@ -153,8 +152,8 @@ for i, label in enumerate(labels):
 # %% [markdown]
 # ## Prediction
 #
-# The plot compares the measured mean thrust of each trial with that of the calibrated model. The
-# mean excludes the first stride.
+# The plot compares the measured mean thrust of each trial with the mean thrust of the calibrated
+# model. The means exclude the first stride.
 
 # %%
 means = []

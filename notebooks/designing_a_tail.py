@@ -46,8 +46,9 @@ sj.enable_float64()
 #
 # The built-in robot has form drag at its head; docs/how-to/swimming.md explains why. The drive has
 # a frequency of 5 Hz and a set pressure of 365 kPa in both chambers. The rear chamber follows the
-# front chamber with a delay of 0.15 of a stride. The largest allowed stiffness is 38 times the
-# smallest one. The optimisation therefore uses the logarithm of the stiffness as its variable.
+# front chamber with a delay of 0.15 of a stride. The largest allowed stiffness of the tail is 38
+# times the smallest allowed stiffness. The optimisation therefore uses the logarithm of the
+# stiffness as its variable.
 
 # %%
 LENGTHS, STIFFNESSES = (0.02, 0.10), (0.001, 0.038)
@@ -56,19 +57,19 @@ coarse = SteadySettings(steps_per_stride=48, numerics=Numerics(tail_cells=4, bod
 
 
 def gait(unit):
-    """The design at a point of the unit square."""
+    """Returns the design at a point (2,) of the unit square."""
     length = LENGTHS[0] + unit[0] * (LENGTHS[1] - LENGTHS[0])
     stiffness = STIFFNESSES[0] * (STIFFNESSES[1] / STIFFNESSES[0]) ** unit[1]
     return Gait(5.0, 365e3, 365e3, 0.15, length, stiffness)
 
 
 def tail_text(unit):
-    """The length and stiffness of a design's tail, as text."""
+    """Returns the length and the stiffness of a design's tail, as text."""
     return f"{1e3 * gait(unit).tail_length:.0f} mm and {1e3 * gait(unit).EI_tail:.1f} mN m^2"
 
 
 def speed(unit, search=coarse):
-    """Steady speed [m/s], NaN if there is none."""
+    """Returns the steady speed of a design [m/s], or NaN if the design has no steady speed."""
     x = gait(unit)
     found = find_steady(robot(x), x.frequency, search)
     return jnp.where(found.ok, found.speed, jnp.nan)

@@ -19,8 +19,8 @@
 # manifold, `SLIDER_RIG` to the path of your rig file, and `SLIDER_EXPERIMENT` to the path of your
 # experiment file. Without these variables, the notebook starts a simulated rig. The simulated rig
 # has a manifold on a pseudo-terminal, a force sensor on the network, and a robot in a tank. The
-# coefficients of the simulated robot differ from those in the experiment file. The fit at the end
-# of this tutorial identifies them.
+# parameters of the simulated robot differ from the parameters in the experiment file. The fit at
+# the end of this tutorial identifies the parameters of the simulated robot.
 
 # %%
 import os
@@ -94,8 +94,8 @@ else:
 # ## On the rig
 #
 # Each trial begins with one second of rest. The program measures the tares and the noise of the
-# sensors in this second. Then it plays the drive of the trial. The chambers vent at the end of each
-# trial, and also after an error.
+# sensors in this second. Then the program plays the drive of the trial. The chambers vent at the
+# end of each trial, and also after an error.
 #
 # The notebook prints the number of readings of each trial, and how many readings were lost. The
 # number in ms is the delay that 99 % of the commands did not exceed.

@@ -14,9 +14,9 @@
 # # One stride
 #
 # In this tutorial, the head of SLIDER is clamped in still water, and both pairs of chambers are
-# driven at 4.8 Hz. The tutorial follows one stride through the simulator in the order of the
-# computation. First come the pressures, then the shape of the body, the forces of the water along
-# the body, and the reading of a force sensor at the clamp.
+# driven at 4.8 Hz. The tutorial explains the quantities of one stride in the order in which the
+# simulator computes them: the pressures, the shape of the body, the forces of the water along the
+# body, and the reading of a force sensor at the clamp.
 #
 # All quantities are in SI units. The coordinate s increases along the body from the tail's tip (s =
 # 0) to the head (s = L, the length of the robot). The unit vector tau is tangential to the body and
@@ -41,9 +41,9 @@ sj.enable_float64()
 #
 # A model contains five parts: the robot, a tuple of effects that act on the robot, the law of the
 # pressures, the drive of the chambers, and the support of the head. Each part is an immutable
-# class, and JAX can differentiate with respect to its numbers. The paper does not state the
-# pressure amplitude of the chambers and the delay of the rear chamber, so the values in this cell
-# are assumptions.
+# object, and JAX can differentiate a result with respect to the numbers in the object. The paper
+# does not state the pressure amplitude of the chambers and the delay of the rear chamber, so the
+# values in this cell are assumptions.
 
 # %%
 frequency = 4.8
@@ -124,7 +124,8 @@ plt.show()
 # time of the body. The moment of the chamber is M_act = K_Q p in its span and zero elsewhere.
 #
 # At this frequency, mainly the inertia of the water determines the shape. The body swings about a
-# node near the joint between body and tail. The tail moves half a stride later than the body.
+# point that hardly moves, near the joint between body and tail. The tail moves half a stride later
+# than the body.
 
 # %%
 figure, ax = plt.subplots(figsize=(9, 3.4), layout="constrained")
@@ -162,14 +163,14 @@ print(f"travelling index {obs.travelling_index(mode):.2f}")
 #   F_n = -m_A (du_n/dt - d(u_tau u_n)/ds + u_n^2 kappa/2),
 #   F_tau = -m_A (-u_n omega + u_tau u_n kappa + u_n du_n/ds).
 #
-# Here F_tau and F_n are the components along the body and normal to it. u_tau and u_n are the
-# components of the body's velocity relative to the water. rho is the density of the water, C_d
-# the drag coefficient, and H the height of the body. m_A is the added mass per length, kappa the
-# curvature, and omega the turning rate of a section.
+# Here F_tau is the component of a force along the body, and F_n the component normal to it. u_tau
+# and u_n are the components of the body's velocity relative to the water. rho is the density of the
+# water, C_d the drag coefficient, and H the height of the body. m_A is the added mass per length,
+# kappa the curvature, and omega the turning rate of a section.
 #
-# If the body does not stretch, its turning rate is omega = du_n/ds + kappa u_tau in still water.
-# The component F_tau of the reactive force is then zero. Both forces are therefore normal to the
-# body, and have a forward component only where the body is inclined to the x axis.
+# If the body does not stretch, the turning rate of a section is omega = du_n/ds + kappa u_tau in
+# still water. The component F_tau of the reactive force is then zero. Both forces are therefore
+# normal to the body, and have a forward component only where the body is inclined to the x axis.
 #
 # The plots show the forces at two instants. At the instant of the largest thrust, the body is
 # about to reverse its motion: the velocity is small, and only the acceleration matters. A quarter
@@ -182,7 +183,7 @@ joint = 1e3 * float(model.robot.tail_length)
 
 
 def forward(name):
-    """Force per length along x [N/m] that an effect exerts on the cells, at every step."""
+    """Returns the force per length along x [N/m] (steps, cells) of the effect `name`."""
     return np.asarray(to_plane(*np.moveaxis(last[name], 1, 0), last["phi"])[0])
 
 
@@ -230,9 +231,10 @@ print(f"mean thrust {1e3 * last['thrust'].mean():.2f} mN")
 #
 # A sensor between robot and clamp measures the force of the robot on the clamp. Thrust is the
 # forward component, and recoil is the lateral component. At the head, thrust is -T and recoil is
-# -N, where T is the axial force and N the shear force in the body. Both half-strides push forward,
-# so the thrust has two peaks per stride. The recoil has one peak per stride. The mean thrust is the
-# difference between large forward and backward forces, so it is much smaller than the peaks.
+# -N, where T is the axial force and N the shear force in the body. The robot pushes forward
+# in both halves of a stride, so the thrust has two peaks per stride. The recoil has one peak per
+# stride. The mean thrust is the difference between large forward and backward forces, so it is much
+# smaller than the peaks.
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
@@ -250,7 +252,7 @@ print(f"power of the chambers {1e3 * mean_power:.0f} mW,", end=" ")
 print(f"thrust per power {obs.force_efficiency(mean_thrust, mean_power):.2f} N/W")
 
 # %% [markdown]
-# ## Is it steady?
+# ## Is the motion steady?
 #
 # The next cell prints the mean thrust of each stride, beginning with the first stride from rest.
 # The paper treats strides as steady after three tailbeats. In this simulation, the mean thrust

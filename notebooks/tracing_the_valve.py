@@ -52,10 +52,10 @@ print(", ".join(f"{log.frequency:.3g} Hz ({len(log.t)} samples)" for log in logs
 # ## The lag and the measured rate
 #
 # Each sample of a log gives the pressure error, p_set - p, and the rate at which the pressure
-# changes. If the pressure followed a lag, the rate would be proportional to the error, whatever the
+# changes. If the pressure followed a lag, the rate would be proportional to the error at every
 # pressure. The firmware opens a valve fully if the error exceeds 25 codes of the converter (3.4
 # psi). The plots show the rate for errors above 4 psi, so a valve is fully open at every point.
-# Blue circles are mean rates.
+# Each blue circle is the mean rate of the samples in a small range of pressures.
 
 # %%
 filling, venting = [], []
@@ -95,8 +95,8 @@ plt.show()
 #
 # The loop receives the logs and a list of candidate effects. To save time, this notebook uses four
 # candidates. The loop orders the logs by frequency and holds out every second log. The command
-# `slider close-loop logs/*.txt --out DIR` makes the same analysis with all effects that a pressure
-# log can show, and writes a report.
+# `slider close-loop logs/*.txt --out DIR` makes the same analysis with all effects that change
+# the pressure in a log, and writes a report.
 #
 # The bar chart after the next two cells compares the fits. Each bar is the mean square of the
 # whitened residual, which is the residual in units of its noise. A value near 1 means that the
@@ -173,9 +173,10 @@ plt.show()
 #
 # The pressure sensor's analogue-to-digital converter represents each pressure by a whole number,
 # its code. Over many cycles, the pressure of a chamber passes smoothly through all values.
-# Neighbouring codes should therefore occur equally often. If the density of the codes, which is how
-# often each code occurs, varies with a period, the cause is the instrument. The right plot shows
-# the power of each period of this variation.
+# Neighbouring codes should therefore occur equally often. The left plot shows the density of the
+# codes, which is how often each code occurs, divided by its mean over neighbouring codes. If this
+# density varies periodically with the code, the cause is the instrument. The right plot shows the
+# power of each period of this variation.
 
 # %%
 codes = np.concatenate([log.pressure for log in logs]).astype(int)

@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 STREAM_PRIORITY, RECORDER_PRIORITY = 2, 1
 """Real-time priorities of stream threads and of the recorder; the larger priority runs first."""
 NICE = -10
-"""Niceness. On a core that is shared with an ordinary program, a program gets 90 % of the time."""
+"""Niceness with which a program gets 90 % of a core that it shares with an ordinary program."""
 
 
 @contextmanager
@@ -40,8 +40,8 @@ def raise_priority() -> None:
     """Sets the niceness of all threads of this program to `NICE`, if the system allows it.
 
     Use this function in a program that computes much. With real-time priority, such a program
-    delayed the system's threads that transfer a port's bytes, and the readings stopped. On Linux,
-    the `nice` limit of /etc/security/limits.conf grants the permission.
+    delays the system's threads that transfer a port's bytes, and the readings stop. On Linux, the
+    `nice` limit of /etc/security/limits.conf grants the permission.
     """
     if not hasattr(os, "setpriority"):
         return
@@ -54,8 +54,8 @@ def raise_priority() -> None:
 def ordinary_priority() -> Iterator[bool]:
     """Removes this thread's real-time priority in the block. Yields whether the thread had one.
 
-    Start other programs in this block. A program computes for some tenths of a second after its
-    start. With real-time priority, this program could delay all other programs by 0.1 s.
+    Start other programs in this block, so that they have no real-time priority. A program computes
+    for some tenths of a second after its start, and could delay all other programs by 0.1 s.
     """
     if not hasattr(os, "sched_setscheduler") or os.sched_getscheduler(0) == os.SCHED_OTHER:
         yield False

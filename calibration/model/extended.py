@@ -1,7 +1,7 @@
 """The extended model: the base model and candidate effects, with all parameters in one vector.
 
-One compiled program can fit any of the candidates: an effect with parameters at its null has no
-influence. The tangent of a parameter is one Jacobian-vector product (JVP) along its entry.
+One compiled program can fit every candidate, because an effect at its null has no influence. The
+tangent for a parameter is one Jacobian-vector product (JVP) along the entry of this parameter.
 """
 
 from collections.abc import Sequence
@@ -20,10 +20,10 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.experiment.load import Experiment, drag_and_added_mass
 
 BASE = {
-    "C_d": Prior(np.nan, 0.0, 12.0, "-", "2 for a plate in steady flow, more for small strokes"),
+    "C_d": Prior(np.nan, 0.0, 12.0, "-", "2 for a plate in steady flow, more for small motions"),
     "m_a": Prior(np.nan, 0.0, 2.0, "-", "1 for a thin plate in potential flow"),
-    "k": Prior(np.nan, 0.005, 0.5, "s", "valves and hoses of such rigs"),
-    "K_Q": Prior(np.nan, 1e-8, 1e-5, "m^3", "area times lever arm of such a chamber"),
+    "k": Prior(np.nan, 0.005, 0.5, "s", "valves and hoses of pneumatic rigs"),
+    "K_Q": Prior(np.nan, 1e-8, 1e-5, "m^3", "area times lever arm of an air chamber"),
 }
 """Parameters of the base model that a calibration identifies, and the search range of each."""
 
@@ -41,7 +41,7 @@ class Parameter(NamedTuple):
 
 
 def model_parameters(effects: Sequence[str]) -> list[Parameter]:
-    """Returns the entries of the vector: the base parameters, then the parameters of `effects`."""
+    """Returns the entries of the parameter vector: base parameters, then those of `effects`."""
     base = [Parameter("", name, prior) for name, prior in BASE.items()]
     return base + [
         Parameter(effect, name, prior)
@@ -51,7 +51,7 @@ def model_parameters(effects: Sequence[str]) -> list[Parameter]:
 
 
 def candidate_effects() -> list[str]:
-    """Returns the names of all effects that the search may add to the model."""
+    """Returns the names of all effects that the loop may add to the model."""
     return [name for name, kind in LIBRARY.items() if kind.is_candidate]
 
 
@@ -60,7 +60,7 @@ class ExtendedModel(eqx.Module):
 
     base: Model
     conditions: dict[str, Array]
-    """Properties of the trial, such as the tow speed, that are fields of effects (key: field)."""
+    """Values of the trial, such as the tow speed. Each key is the name of a field of an effect."""
     effects: tuple[str, ...] = eqx.field(static=True)
     channels: tuple[Channel, ...] = eqx.field(
         static=True, default_factory=lambda: tuple(CHANNELS.values())
@@ -96,7 +96,7 @@ class ExtendedModel(eqx.Module):
 
 
 def base_vector(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:
-    """Returns the vector with the base parameters `base` and with every effect at its null."""
+    """Returns the parameter vector with the base parameters `base` and every effect at its null."""
     return np.array([p.prior.null if p.effect else base[p.name] for p in entries])
 
 

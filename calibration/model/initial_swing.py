@@ -1,9 +1,9 @@
-"""Computes how a swing that remains from the previous trial changes the readings of a trial.
+"""Computes how a trial's readings change if the robot still swings from the previous trial.
 
-The drag is proportional to the squared speed. The amplitude of a small swing therefore decays as
-slowly as 1/t. The swing has the shape of the first bending mode, approximated by the deflection
-under a uniform load. The phase of the swing is unknown, so position and speed of the swing at the
-start are treated as noise. The experiment declares the standard deviation of this noise.
+The drag is proportional to the squared speed. The amplitude of a small swing therefore decays
+slowly, as 1/t with the time t. The swing has the shape of the first bending mode, approximated by
+the deflection under a uniform load. The phase of the swing is unknown, so its position and speed at
+the start are treated as noise. The experiment file declares the standard deviation of this noise.
 """
 
 from typing import NamedTuple
@@ -24,18 +24,18 @@ from slider_jax.experiment.load import Experiment
 
 
 class SwingMode(NamedTuple):
-    """Shape and frequency of the first bending mode, for a displacement of the tip of 1 m."""
+    """Shape and frequency of the first bending mode, scaled to a tip displacement of 1 m."""
 
     angle: Float[Array, " nodes"]
-    """Angle of the body [rad]."""
+    """Angle between the body and the x axis at each node [rad]."""
     place: Float[Array, " nodes"]
-    """Lateral displacement [m]."""
+    """Lateral displacement of each node [m]."""
     frequency: Float[Array, ""]
-    """Angular frequency [rad/s], from Rayleigh's quotient."""
+    """Angular frequency of the mode [rad/s], from Rayleigh's quotient."""
 
 
 def first_mode(model: Model, numerics: Numerics) -> SwingMode:
-    """Returns the first mode of the clamped body in water, from its shape under a uniform load."""
+    """Returns the clamped body's first mode in water, from the shape under a uniform load."""
     mesh = make_mesh(model.body, numerics)
     grid, structure = mesh.grid, mesh.structure
     curvature = grid.mid(grid.s) ** 2 / structure.EI
@@ -60,7 +60,7 @@ def first_mode(model: Model, numerics: Numerics) -> SwingMode:
 def _along(model: Model, numerics: Numerics):
     """Returns tangents of the initial state, and the angular frequency [rad/s] of the first mode.
 
-    The first two tangents are along the position and the speed of the swing; all others are zero.
+    The first two tangents are for the position and the speed of the swing; all others are zero.
     """
     mode, carry = first_mode(model, numerics), at_rest(model, numerics)
 
@@ -79,9 +79,9 @@ def _along(model: Model, numerics: Numerics):
 def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
     """Returns the changes (2, channels, samples) of the readings that an initial swing causes.
 
-    The two changes belong to one standard deviation of the swing's position and of its speed.
-    `size` [m] is the standard deviation of the tip. The changes are linearised at `theta`. A value
-    that is not finite, as after a failed step, becomes 0.
+    The changes are those for an initial position and for an initial speed of one standard
+    deviation, linearised at the parameters `theta`. `size` is the standard deviation of the tip's
+    position [m]. A value that is not finite, for example after a failed time step, becomes 0.
     """
     d_carry, frequency = _along(p.extended.at(jnp.asarray(theta)), p.numerics)
     initial = np.zeros((DIRECTIONS, len(CHANNELS)))
@@ -94,6 +94,6 @@ def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
 def declared_swing_spans(
     experiment: Experiment, p: TrialPlan, theta: np.ndarray
 ) -> np.ndarray | None:
-    """Returns `swing_spans` for the swing that the experiment declares, or None without a swing."""
+    """Returns `swing_spans` for the experiment's start swing, or None if the start swing is 0."""
     size = experiment.sensors.start_swing
     return swing_spans(p, theta, size) if size > 0.0 else None

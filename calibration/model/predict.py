@@ -1,4 +1,4 @@
-"""Predicts a trial's readings, and their tangents (derivatives along directions of parameters)."""
+"""Predicts a trial's readings, and their tangents (derivatives with respect to parameters)."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -34,16 +34,16 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.trial import run_chunks
 
 BLOCK = 500
-"""Number of steps or samples per call of a compiled program. A trial can have any length."""
+"""Time steps or samples per call of a compiled program. A long trial needs several calls."""
 DIRECTIONS = 8
-"""Number of tangents per call of the compiled program."""
+"""Number of tangents that one call of a compiled program computes."""
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """Number of nodes, smallest number of steps per stride, longest step [s] and time scheme.
+    """Number of nodes, least number of time steps per stride, longest step [s], time scheme.
 
-    A resolution replaces the table [numerics] of the experiment file in a fit.
+    In a fit, a resolution replaces the table [numerics] of the experiment file.
     """
 
     nodes: int
@@ -53,14 +53,14 @@ class Resolution:
 
 
 FINE = Resolution(101, 200, 2.0e-3)
-"""Resolution for residuals. A fit with 51 nodes gives a tail that is 2.5 % too soft."""
+"""Resolution for residuals. With only 51 nodes, a fit returns a tail that is 2.5 % too soft."""
 COARSE = Resolution(31, 80, 4.0e-3)
-"""Resolution for tangents, whose errors may be ten times as large as errors of residuals."""
+"""Resolution for tangents. The allowed error of tangents is ten times that of residuals."""
 
 
 @dataclass(frozen=True)
 class TrialPlan:
-    """The inputs of the simulation of one trial with the extended model."""
+    """Inputs for the simulation of one trial with the extended model."""
 
     trial: Trial
     extended: ExtendedModel
@@ -80,7 +80,7 @@ def plan_trial(
 ) -> TrialPlan:
     """Returns the model, mesh and time grid of a trial. Raises `InputError` for an invalid trial.
 
-    `at` (n,) are the sample times [s] (default: times of the data file), not for a prepared trial.
+    `at` (n,) are the sample times [s] (default: from the data file). A prepared trial ignores `at`.
     """
     if isinstance(trial, PreparedTrial):
         prepared = trial
@@ -102,7 +102,7 @@ def plan_trial(
 
 
 def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
-    """Returns readings of ideal sensors (BLOCK, channels) in the next steps, and the end state."""
+    """Returns ideal sensors' readings (BLOCK, channels) in the next steps, and the last state."""
 
     def save(x: Snapshot):
         return jnp.stack([channel.observe(x) for channel in extended.channels])
@@ -113,7 +113,7 @@ def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numeri
 
 
 def _read(extended: ExtendedModel, theta, t, series):
-    """Returns the readings (channels - 2, n), without pressures, from ideal readings."""
+    """Returns real sensors' readings (channels - 2, n) without pressures, from ideal readings."""
     names = [channel.name for channel in extended.channels]
     true = dict(zip(names, series.T, strict=True))
     read = recorded_series(extended.at(theta).effects, t, true)
@@ -136,7 +136,7 @@ def _pressures(extended: ExtendedModel, theta, t):
 def _along(function, arguments, directions):
     """Returns the tangents of function(*arguments) along `directions`.
 
-    The first axis of `directions` is the direction; the other axes are those of the arguments.
+    Each array of `directions` has the axes of its argument after a first axis of directions.
     """
     dynamic, static = eqx.partition(arguments, eqx.is_inexact_array)
 
@@ -183,7 +183,7 @@ def _chambers_along(extended: ExtendedModel, theta, t, d_theta):
 
 
 def _sample_grid(at: np.ndarray) -> np.ndarray:
-    """Returns evenly spaced times from 0 that include the sample times `at`; whole blocks."""
+    """Returns evenly spaced times [s] from 0 that include `at`, in whole blocks of `BLOCK`."""
     spacing = divided_step(float(np.median(np.diff(at))), LONGEST_STEP)
     before = np.ceil(at[0] / spacing - 1e-9)
     n = -(-(round((at[-1] - at[0]) / spacing) + int(before) + 2) // BLOCK) * BLOCK
@@ -195,8 +195,8 @@ def _sample_grid(at: np.ndarray) -> np.ndarray:
 def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Returns readings (..., channels, samples) at the trial's sample times.
 
-    `body` (..., channels - 2, steps) is interpolated between time steps. `pressures` (..., 2, n)
-    are at the times `t` (n,) [s], which include the sample times.
+    `body` (..., channels - 2, steps) are readings without pressures, interpolated between steps.
+    `pressures` (..., 2, n) are at the times `t` (n,) [s], which include the sample times.
     """
     lead = body.shape[:-2]
     flat = body.reshape(-1, body.shape[-1])[:, : p.grid.steps + 1].T
@@ -221,7 +221,7 @@ def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
 
 
 def _series(p: TrialPlan, theta) -> tuple[Array, float]:
-    """Returns readings of ideal sensors (n, channels), and the time of a failed step or inf."""
+    """Returns readings (n, channels) of ideal sensors, and the time [s] of a failed step or inf."""
     carry = _begin(p.extended, theta, p.numerics)
     start = jnp.concatenate([carry.chambers.p, jnp.zeros(len(p.extended.channels) - 2)])[None]
     h = jnp.asarray(p.grid.h)
@@ -249,7 +249,7 @@ def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) ->
 
 
 def by_directions(function, directions: np.ndarray) -> np.ndarray:
-    """Returns `function(directions)` for `directions` (k, n), in calls with `DIRECTIONS` rows."""
+    """Returns `function(directions)` for `directions` (k, n), with `DIRECTIONS` rows per call."""
     padded = np.zeros((-(-len(directions) // DIRECTIONS), DIRECTIONS, directions.shape[1]))
     padded.reshape(-1, directions.shape[1])[: len(directions)] = directions
     found = [np.asarray(function(jnp.asarray(block))) for block in padded]
@@ -259,10 +259,10 @@ def by_directions(function, directions: np.ndarray) -> np.ndarray:
 def initial_state_tangents(
     p: TrialPlan, theta: np.ndarray, d_carry: Carry, initial: np.ndarray
 ) -> np.ndarray:
-    """Returns tangents (`DIRECTIONS`, channels, samples) of the readings along initial states.
+    """Returns tangents (`DIRECTIONS`, channels, samples) with respect to initial states.
 
     `d_carry` are the tangents of the initial state; their first axis is the direction. `initial`
-    (`DIRECTIONS`, channels) are the tangents of the readings at t = 0. Pressures do not change.
+    (`DIRECTIONS`, channels) are the tangents of the readings at t = 0. Tangents of pressures are 0.
     """
     at = jnp.asarray(theta)
     series, _ = _series(p, at)

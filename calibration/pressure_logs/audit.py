@@ -1,11 +1,11 @@
-"""Audits the rig's pressure logs: faults of the instrument, such as codes of unequal width.
+"""Checks the rig's pressure logs for faults of the instrument, such as codes of unequal width.
 
 A code is an integer reading of the converter. The density of a code is the number of readings of
-this code, divided by the expected number. A code that is too narrow has a low density, and a high
-noise in counts, because one count is then a smaller pressure. The signal also makes densities
-uneven, so the test needs null samples: smoothed logs with new white noise and rounding. Codes have
-unequal widths if the density varies with a period more than in every null sample, and if the noise
-is high where the density is low.
+this code, divided by the expected number. If a code is too narrow (covers too small a range of
+pressures), its density is low. The noise in counts is then high: the same noise in Pa is more
+counts. The signal also makes densities uneven, so the test needs null samples: smoothed logs with
+new white noise, rounded to codes. Codes have unequal widths if the density varies periodically with
+the code, more than in every null sample, and if the noise is high where the density is low.
 """
 
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ from calibration.measurements.records import Action, Finding, masked_finding
 from calibration.pressure_logs.read import PSI_PER_COUNT, ManifoldLog
 
 PERIODS = np.geomspace(3.0, 48.0, 400)
-"""Periods [codes] with which the density may vary; the test examines each of these periods."""
+"""Periods [codes] of the variation of the density that the test examines."""
 HISTOGRAM_WIDTH = 12.0
 """Standard deviation [codes] of the Gaussian filter that gives the expected histogram."""
 SIGNAL_WIDTH = 8.0
 """Standard deviation [samples] of the Gaussian filter that smooths a log for a null sample."""
 LEAST_COUNT = 8.0
-"""The test examines a code if the expected number of readings exceeds this value."""
+"""The test examines a code only if its expected number of readings exceeds this value."""
 NULLS = 40
 """Number of null samples."""
 RARE = 0.5
 """A code is rare if its density is below this value."""
 OPPOSED = -0.8
-"""Codes have unequal widths only if the field `opposed` of `CodeDensity` is below this value."""
+"""The test reports unequal widths of codes only if `CodeDensity.opposed` is below this value."""
 
 
 class CodeDensity(NamedTuple):
@@ -40,23 +40,23 @@ class CodeDensity(NamedTuple):
     amplitude: float
     """Relative amplitude of the strongest sine wave in the density as a function of the code."""
     null: np.ndarray
-    """Relative amplitudes (nulls,) of the strongest waves in the null samples."""
+    """Relative amplitude of the strongest wave in each null sample, shape (nulls,)."""
     period: float
-    """Period [codes] of the strongest wave."""
+    """Period [codes] of the strongest wave in the density."""
     opposed: float
-    """Correlation between log(density) and log(noise) in one period; near -1 for unequal widths."""
+    """Correlation of log(density) and log(noise) in one period; near -1 if widths are unequal."""
     dnl: float
-    """Largest error [codes] of a code's width in one period."""
+    """Largest error [codes] of a code's width in one period of the wave."""
     inl: float
-    """Half of the range of a reading's error [codes] (the cumulative sum of the width errors)."""
+    """Half of the range of a reading's error [codes], the cumulative sum of the width errors."""
     missing: list[int]
-    """Codes that were expected but have no reading."""
+    """Examined codes that have no reading."""
     rare: list[int]
-    """Codes with a density below `RARE`."""
+    """Examined codes with a density below `RARE`."""
 
     @property
     def significance(self) -> float:
-        """Amplitude minus the mean of the null samples, divided by their standard deviation."""
+        """`amplitude` minus the mean of `null`, divided by the standard deviation of `null`."""
         return float((self.amplitude - self.null.mean()) / max(float(self.null.std()), 1e-12))
 
     @property
@@ -99,7 +99,7 @@ def code_density(
 
 
 def _null(logs: Sequence[np.ndarray], rng: np.random.Generator) -> list[np.ndarray]:
-    """Returns a null sample [codes]: the smoothed logs with new white noise of the logs' size."""
+    """Returns a null sample [codes]: smoothed logs with new white noise of the same variance."""
     found = []
     for x in logs:
         noise = float(np.sqrt(max(np.mean(np.diff(x, 4) ** 2) / 70.0 - 1.0 / 12.0, 0.0)))
@@ -163,13 +163,13 @@ def _over_phase(
 
 
 FULL_DUTY, DUTY_PER_COUNT = 250.0, 10.0
-"""Law of the published firmware: duty = min(250, 10 |error in counts|). One valve is closed."""
+"""Published firmware: one valve is closed, the other has duty min(250, 10 |error in counts|)."""
 DUTY_ERROR = 1.5
 """Largest rounding error of a duty (0 to 255)."""
 MAX_ERROR_SHARE = 0.01
-"""Largest fraction of samples that contradict the control law without a finding."""
+"""The audit reports a finding if more than this fraction of samples contradicts the valve law."""
 MAX_JITTER = 1.0
-"""Largest error of the sample times [samples] without a finding."""
+"""The audit reports a finding if a sample time is wrong by more than this number of samples."""
 
 
 def audit_logs(logs: Sequence[ManifoldLog]) -> list[Finding]:
@@ -225,7 +225,7 @@ def _duties(log: ManifoldLog) -> list[Finding]:
     first = float(log.t[np.argmax(wrong)])
     detail = (
         f"{wrong.mean():.1%} of the valve duties differ from min(250, 10 |error|) in the same row, "
-        f"first at {first:.3f} s; the columns have different times, or another firmware was used"
+        f"first at {first:.3f} s; the columns' sample times differ, or another firmware was used"
     )
     return [Finding(log.path.name, "duty", "valves", first, None, detail, "used")]
 

@@ -1,4 +1,4 @@
-"""Closes the loop on the rig's pressure logs, and simulates how the result changes the thrust."""
+"""Closes the loop on the rig's pressure logs, and simulates how added effects change the thrust."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -38,7 +38,7 @@ def close_loop_on_logs(
     progress: Callable[[str], None] = lambda text: None,
     memo: Memo | None = None,
 ) -> LoopOutcome:
-    """Returns the outcome of the loop: calibrated lag, missing effects of the pressure, verdict.
+    """Returns the loop's outcome: calibrated lag, effects that the lag model lacks, and verdict.
 
     `effects` are the names of the candidates (default: `log_candidates()`). Every second log, in
     the order of frequency, is held out. Raises `InputError` for too few logs.
@@ -86,7 +86,7 @@ def log_report(
 def thrust_change(outcome: LoopOutcome) -> dict[str, Any]:
     """Returns the built-in robot's thrust at `FREQUENCY` with three pressure models.
 
-    The models are the paper's lag, the lag with the best k, and the lag with the added effects.
+    The models are the paper's lag, the lag that fits the logs best, and the loop's final model.
     """
     k = [p.label for p in outcome.entries].index("k")
     pairs = list(zip(outcome.entries, outcome.final.theta, strict=True))

@@ -41,7 +41,7 @@ class LogResult:
     pooled: np.ndarray
     """Residual with the common k of all logs."""
     shape: ResidualShape
-    """Shape of `after`."""
+    """Statistics of the residual `after`."""
 
     @property
     def fixed(self) -> bool:
@@ -50,7 +50,7 @@ class LogResult:
 
     @property
     def rms_held(self) -> float:
-        """RMSE [psi] of a model with constant pressure: the first sample of the log."""
+        """RMSE [psi] of a prediction that the pressure stays constant at the log's first sample."""
         measured = psi(self.log.pressure)
         return rms(measured - measured[0])
 
@@ -61,21 +61,21 @@ class Identification:
 
     logs: tuple[LogResult, ...]
     k: Interval
-    """Common k, with an interval that includes the spread between logs, valid for further logs."""
+    """Common k. The interval includes the spread between logs, and also holds for further logs."""
     within: Interval
-    """Common k, with an interval that is valid for these logs only."""
+    """Common k. The interval holds for these logs only."""
 
     def pooled_rmse(self, which: str, settled: bool = False) -> float:
         """Returns the root of the mean of all logs' mean squares [psi]; logs have equal weights.
 
-        `which` is the residual `before`, `after` or `pooled`. `settled` omits the first cycle.
+        `which` is the residual `before`, `after` or `pooled`. `settled` uses `whole_cycles` only.
         """
         pairs = [(getattr(x, which), x.log) for x in self.logs]
         values = [r[whole_cycles(log)] if settled else r for r, log in pairs]
         return math.sqrt(np.mean([rms(r) ** 2 for r in values]))
 
     def sample_rmse(self, which: str) -> float:
-        """Returns the rms [psi] of all samples of all logs; long logs have more weight."""
+        """Returns the rms residual [psi] of all samples of all logs; samples have equal weights."""
         return rms(np.concatenate([getattr(x, which) for x in self.logs]))
 
     @property

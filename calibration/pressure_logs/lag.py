@@ -1,4 +1,4 @@
-"""Fits the time constant k of the pressure lag to logs by least squares with forward tangents."""
+"""Fits the time constant k of the pressure lag to logs: least squares, forward-mode derivatives."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,8 +15,8 @@ from slider_jax.actuation import FirstOrderLag, Recorded
 from slider_jax.actuation.waveform import Segment
 
 PLAUSIBLE = (0.01, 1.0)
-"""Search range of k [s], chosen before the measurements: bare valve to long hose with a leak."""
-BLOCK = 1024  # samples
+"""Search range of k [s], from a bare valve to a long leaking hose. Chosen before measurements."""
+BLOCK = 1024  # samples; the arrays of a batch are padded to a multiple of this length
 _STARTS = np.linspace(np.log(PLAUSIBLE[0]), np.log(PLAUSIBLE[1]), 25)
 
 
@@ -33,7 +33,7 @@ class LogBatch(eqx.Module):
     def of(cls, logs: Sequence[ManifoldLog]) -> "LogBatch":
         """Returns the batch of `logs`. The padding repeats the last command with weight 0.
 
-        The length is a multiple of `BLOCK`, so sets of similar logs share a compiled program.
+        The length is a multiple of `BLOCK`. Batches of equal length use the same compiled program.
         """
         longest = -(-max(len(log.t) for log in logs) // BLOCK) * BLOCK
         after = np.arange(1, longest + 1)
@@ -101,7 +101,7 @@ _SOLVER: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(rtol=1e-7, at
 
 
 def _solve(residual, start, args):
-    # The solver would linearise the scan and store every step. A forward-mode JVP stores no step.
+    # By default, the solver stores every step of the scan. A forward-mode JVP stores no step.
     @jax.custom_jvp
     def with_tangent(x, args):
         return residual(x, args)
@@ -130,18 +130,18 @@ def _statistics(log_k, log: LogBatch):
 
 
 def _scaled(log_k, log: LogBatch):
-    """Returns the residual divided by sqrt(samples); its sum of squares is the mean square."""
+    """Returns residual / sqrt(samples) [psi]. Its sum of squares is the residual's mean square."""
     return residual_psi(log_k, log) / jnp.sqrt(jnp.sum(log.weight))
 
 
 def _profile(batch: LogBatch):
-    """Returns the mean square (starts, logs) [psi^2] of the residual at each k of the scan."""
+    """Returns the mean square (starts, logs) [psi^2] of the residual at each k of `_STARTS`."""
     each = jax.vmap(lambda x, log: jnp.sum(_scaled(x, log) ** 2), (None, 0))
     return jax.lax.map(lambda x: each(x, batch), jnp.asarray(_STARTS))
 
 
 def _lowest_minimum(square):
-    """Returns log k at the lowest local minimum of the scan, or else at the lowest value.
+    """Returns log k at the lowest local minimum of the scan, or at the lowest value if none exists.
 
     The ends of the range do not count as local minima: with a k much longer than the log, the
     pressure stays constant. A constant pressure may fit well by chance without identifying k.

@@ -1,4 +1,4 @@
-"""Figures of the identification of the pressure lag, and of the robot driven by a log."""
+"""Plots the identification of the pressure lag, and the simulation of a robot driven by a log."""
 
 import math
 from collections.abc import Mapping
@@ -83,7 +83,7 @@ def plot_phase(found: Identification, path: Path) -> None:
         axis.set_xlabel("phase of the command (cycles)", fontsize=9)
     handles, labels = axes.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper right", ncols=2, markerscale=8, fontsize=9)
-    figure.suptitle("Residual with the k of each log. At phase 0, the command rises to its mean.",
+    figure.suptitle("Residual with the k of each log. At phase 0, the command rises past its mean.",
                     fontsize=10, x=0.01, ha="left")  # fmt: skip
     save_figure(figure, path)
 
@@ -117,7 +117,7 @@ def plot_rate(found: Identification, path: Path) -> None:
 
 
 def plot_k(found: Identification, reference_k: float, path: Path) -> None:
-    """Plots k and RMSE of each log. Estimates of k are from fit, gain, phase, filling, venting."""
+    """Plots k and RMSE of each log. k is estimated from fit, gain, phase, filling and venting."""
     figure, (left, middle, right) = new_figure(1, 3, figsize=(14.0, 4.6))
     f = np.array([x.log.frequency for x in found.logs])
     k = 1e3 * np.array([[x.k.value, x.k.low, x.k.high] for x in found.logs]).T
@@ -179,7 +179,7 @@ def plot_driven(log: ManifoldLog, columns: Mapping[str, np.ndarray], path: Path)
         values = scale * columns[name]
         axis.plot(t, values, color=_AFTER, lw=0.9)
         axis.set_ylabel(label)
-        # The transient in the first cycle is larger than the later amplitudes.
+        # The limits of the axis ignore the first cycle, because its transient is too large.
         later = values[t >= min(1.0 / log.frequency, 0.5 * t[-1])]
         margin = 0.15 * max(np.ptp(later), 1e-9)
         axis.set_ylim(later.min() - margin, later.max() + margin)

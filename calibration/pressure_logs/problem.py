@@ -32,7 +32,7 @@ from slider_jax.experiment.schema import SensorsTable
 from slider_jax.paper import PRESSURE_LAG
 
 CHANNEL = "p_front"
-"""Channel that contains the single pressure of a log."""
+"""Channel of the extended model that predicts the single pressure of a log."""
 FREE = ("k",)
 """Parameters of the base model that a pressure log can identify."""
 
@@ -51,7 +51,7 @@ def log_candidates() -> list[str]:
 def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, float]) -> Experiment:
     """Returns an experiment with the built-in robot and one trial at the log's frequency.
 
-    C_d and m_a have the paper's values. The file `model` overrides the tables of the experiment.
+    C_d and m_a have the paper's values. The tables of the file `model` override built-in tables.
     """
     robot = asdict(Robot())
     K_Q = robot.pop("K_Q")
@@ -102,7 +102,7 @@ class PressureLogProblem(AbstractProblem):
 
     @classmethod
     def of_logs(cls, logs: Sequence[ManifoldLog], names: Sequence[str]) -> "PressureLogProblem":
-        """Returns the problem of `logs` for the extended model with the effects `names`."""
+        """Returns the problem of fitting `logs` with the base model and the effects `names`."""
         experiments = [log_experiment(log, None, {}) for log in logs]
         records = [log_record(log, x) for log, x in zip(logs, experiments, strict=True)]
         row = row_of(CHANNEL)
@@ -155,7 +155,7 @@ class PressureLogProblem(AbstractProblem):
         return [np.stack([x[i] - here[i] for x in there]) for i in range(len(here))]
 
     def _moved(self, theta: np.ndarray, along: np.ndarray) -> ExtendedModel:
-        """Returns the model without effects whose parameters are all at null and not in `along`."""
+        """Returns the model with only the effects that are not at null or that `along` marks."""
         found = dict.fromkeys(
             p.effect
             for i, p in enumerate(model_parameters(self.base.effects))

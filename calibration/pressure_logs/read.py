@@ -153,7 +153,7 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
             value = float(match[1])
             if name in values:
                 raise InputError(
-                    f"{path}: line {line}: a second {name}; allowed is one test; split the file"
+                    f"{path}: line {line}: a second {name}; only one is allowed; split the file"
                 )
             if not low <= value <= high:
                 raise InputError.value(
@@ -204,7 +204,7 @@ def _body(
 
 
 def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding]:
-    """Returns findings if start and stop time of the header contradict the rows or the cycles."""
+    """Returns findings if the header's start and stop time contradict its cycles or the rows."""
     details, last = [], int(rows[-1, 0])
     missing = {"start", "stop"} - values.keys()
     if missing:
@@ -215,7 +215,7 @@ def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding
         details = [f"the header implies {expected:g} samples; the last sample has number {last}"]
     cycles = span * values["frequency"] / 1000.0
     if "cycles" in values and abs(cycles - values["cycles"]) > 0.05:
-        details += [f"start to stop: {cycles:.2f} cycles; header line: {values['cycles']:g} cycles"]
+        details += [f"start to stop is {cycles:.2f} cycles; the header states {values['cycles']:g}"]
     return [RowFinding(None, detail) for detail in details]
 
 

@@ -14,7 +14,7 @@ SMOOTH = 12
 
 
 class FrequencyResponse(NamedTuple):
-    """Gain and phase lag [rad] at the drive frequency, and k [s] of a lag with either value."""
+    """Gain and phase lag [rad] at the drive frequency, and the k [s] that each value implies."""
 
     gain: float
     lag: float
@@ -23,10 +23,10 @@ class FrequencyResponse(NamedTuple):
 
 
 class ResidualShape(NamedTuple):
-    """Statistics of a residual, measured minus model, in the whole cycles of a log; in psi.
+    """Statistics [psi] of a residual (measured minus model) in the whole cycles of a log.
 
-    A share is a fraction of the residual's mean square. The sum of all shares is 1 if the residual
-    is periodic and has no harmonic above `HARMONICS`.
+    `mean_share` and `harmonic_shares` are fractions of the residual's mean square. Their sum is 1
+    if the residual is periodic and has no harmonic above `HARMONICS`.
     """
 
     rms: float
@@ -51,7 +51,7 @@ class ResidualShape(NamedTuple):
 
 
 def whole_cycles(log: ManifoldLog) -> np.ndarray:
-    """Returns a mask (samples,) of whole cycles, without the first of three or more cycles."""
+    """Returns a mask (samples,) of the whole cycles, without the first of three or more cycles."""
     cycles = math.floor(log.cycles + 0.02)
     first = 1 if cycles >= 3 else 0
     turn = log.t * log.frequency

@@ -23,7 +23,7 @@ STUCK_SAMPLES = 25  # with a noise of 1.7 counts, a working sensor does not repe
 
 
 class RowFinding(NamedTuple):
-    """A fault of a log's file, and the line with the fault (None: not in one line)."""
+    """A fault of a log's file, and the fault's line number (None: not in a single line)."""
 
     line: int | None
     detail: str

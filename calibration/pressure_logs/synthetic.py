@@ -1,7 +1,7 @@
 """Synthetic logs of a chamber with known valves, in the format of the published firmware.
 
-The pressure is integrated with eight explicit steps per sample. This code uses no code of the
-models that are fitted to the logs, so it is an independent test of these models.
+The pressure is integrated with eight explicit steps per sample. The integration shares no code with
+the models that are fitted to the logs, so the logs are an independent test of these models.
 """
 
 import math
@@ -43,7 +43,7 @@ class Valves(NamedTuple):
         return -self.vent * opening * inside * self._flow(ATMOSPHERE / inside)
 
     def _flow(self, ratio: float) -> float:
-        """Returns the flow, divided by the choked flow, at a pressure `ratio` (ISO 6358)."""
+        """Returns the flow divided by the choked flow; `ratio` is p_out/p_in (ISO 6358)."""
         beyond = max(0.0, (ratio - self.critical) / (1.0 - self.critical))
         return math.sqrt(max(0.0, 1.0 - beyond**2))
 

@@ -49,22 +49,22 @@ def _spread(found: Identification) -> list[str]:
     text = []
     if loose:
         text.append(
-            f"A single log does not determine k in the case of {', '.join(loose)}: the interval "
-            "is too wide, or k is at a limit of the search."
+            f"Alone, these logs do not determine k: {', '.join(loose)}. The interval of each "
+            "log is too wide, or k is at a limit of the search."
         )
     if len(fixed) >= 2:
         low, high = (f(fixed, key=lambda x: x.k.value) for f in (min, max))
         apart = low.k.high < high.k.low
         text.append(
             f"The k of single logs is between {1e3 * low.k.value:.0f} ms ({low.log.frequency:g} "
-            f"Hz) and {1e3 * high.k.value:.0f} ms ({high.log.frequency:g} Hz). These two intervals "
+            f"Hz) and {1e3 * high.k.value:.0f} ms ({high.log.frequency:g} Hz). The two intervals "
             + ("do not overlap, so no single lag fits all frequencies." if apart else "overlap.")
         )
     held = [x.log.path.name for x in found.logs if x.rms_held < min(rms(x.after), rms(x.before))]
     if held:
         text.append(
-            "The lag is worse than no model: a constant pressure, the first sample, fits better "
-            f"in {', '.join(held)}."
+            f"In {', '.join(held)}, the lag predicts the pressure worse than a constant pressure "
+            "that is equal to the first sample."
         )
     return text
 
@@ -107,12 +107,12 @@ def _residual(found: Identification) -> list[str]:
     if both:
         text.append(
             f"At the drive frequency, the measured gain gives k = {_range_ms(gains)} ms, and the "
-            f"phase gives k = {_range_ms(phases)} ms. The values of a lag would be equal; these "
+            f"phase gives k = {_range_ms(phases)} ms. For a lag, both values are equal; these "
             f"values differ by a factor of up to {max(max(g / p, p / g) for g, p in both):.1f}."
         )
     if beyond:
         text.append(
-            f"The pressure is more than a quarter cycle late (not a lag) in {', '.join(beyond)}."
+            f"In {', '.join(beyond)}, the pressure is over a quarter cycle late: this is not a lag."
         )
     return text
 

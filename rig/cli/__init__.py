@@ -1,1 +1,1 @@
-"""The rig's commands. They may import all packages. Only the table of commands refers to them."""
+"""The rig's commands. This package may import all packages. Only the table of commands uses it."""

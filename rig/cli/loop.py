@@ -70,7 +70,7 @@ def rig_loop(
         )
     if any(trial.clamp_moves or trial.tow_speed for trial in given.trials):
         raise InputError(
-            f"{experiment}: the clamp of a trial moves or is towed; allowed are fixed clamps; "
+            f"{experiment}: the clamp of a trial moves or is towed; only fixed clamps are allowed; "
             "remove this trial"
         )
     allowed = {"frequency": frequency, "amplitude": amplitude, "phase": phase}

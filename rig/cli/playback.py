@@ -1,4 +1,4 @@
-"""Plays a drive in a thread, while the main thread processes the live stream."""
+"""Plays a drive in a thread, while the main thread processes the live stream of readings."""
 
 import threading
 from collections.abc import Iterator
@@ -23,8 +23,8 @@ from rig.trial.player import play_drive
 class DrivePlayer:
     """A context manager that plays a drive for `duration` [s] in a thread with real-time priority.
 
-    `stream` receives the readings and forces. At the end all chambers vent. Raises `RigError` on
-    entering, in `ended` and on leaving.
+    `stream` receives the readings and forces. At the end all chambers vent. Raises `RigError`
+    at the start of the block, in `ended`, and at the end of the block.
     """
 
     def __init__(self, port: str, settings: RigTable, trial: PlannedTrial, duration: float):
@@ -96,7 +96,7 @@ class DrivePlayer:
                 except BaseException as error:
                     m.stop_after(error)
                     raise
-                m.stop()  # vents before the force sensor is closed, which takes time
+                m.stop()  # vents now, because closing the force sensor takes time
 
     def _tick(self, t: float) -> None:
         assert self.stream.manifold is not None

@@ -28,13 +28,13 @@ def rig_replay(
     """Converts a run's recordings to CSV files again, or plays one recording back on a port.
 
     With an output folder of `slider rig run`, the command converts all recordings of the folder to
-    CSV files in --out, also recordings of a killed run. --rig replaces the sensors and axes that
-    the run used. With a single recording, the command creates a pseudo-terminal. When a program
-    opens this port, the command sends the manifold's recorded bytes at the recorded times. The exit
-    code is 1 if a recording could not be read.
+    CSV files in --out, including those of a killed run. With --rig, the rig file's sensors and axes
+    replace those of the run. With a single recording, the command creates a pseudo-terminal. When a
+    program opens this port, the command sends the manifold's recorded bytes at the recorded times.
+    The exit code is 1 if a recording could not be read.
 
     Args:
-        recording: an experiment's folder, or one recording (.h5).
+        recording: output folder of `slider rig run`, or one recording (.h5).
         out: folder for the converted trials, required for an experiment's folder; created if
             missing. Existing files are replaced.
         rig: TOML file of the rig. The sensors of this file replace the recorded sensors. If the
@@ -120,7 +120,7 @@ def _read_trial(path: Path, durations: dict[str, float]) -> _Trial:
 def _read_columns(
     trial: _Trial, given: RigTable | None, path: Path
 ) -> tuple[TrialColumns, list[str]]:
-    """Returns the columns for the sensors of `given`. None stands for the recorded sensors.
+    """Returns a trial's columns for the sensors of the rig file `given` (None: recorded sensors).
     Also returns a finding if columns of the original run are missing."""
     stored = trial.recording.settings.get("rig", {})
     recorded = validate(RigTable, stored, f"{path}: settings")

@@ -73,7 +73,7 @@ def rig_run(
     recorded = {"experiment_sha256": source["sha256"], "rig": settings.model_dump(mode="json")}
     with open_rig(port, settings) as machine:
         if not machine.readers and not machine.analogue:
-            print("only pressures are measured; --rig adds other sensors", file=sys.stderr)
+            print("only pressures are measured; --rig can add other sensors", file=sys.stderr)
         ident = machine.manifold.ident
         assert ident is not None
         rate = table.sensors.sample_rate
@@ -86,7 +86,7 @@ def rig_run(
         for planned in trials:
             planned.check(machine.limits.within(ident))
         folder = output_folder(out)
-        # Before anything is written, this check refuses finished trials with different settings.
+        # This check comes before the first write: it refuses finished trials with other settings.
         for planned in trials:
             finished_record(folder, planned, recorded)
         install_experiment(experiment, folder)

@@ -74,7 +74,7 @@ class CameraTable(Table):
 
 
 class AnalogueTable(Table):
-    """[[analogue]]: a sensor at an analogue input. Its value is scale (voltage - zero)."""
+    """[[analogue]]: a sensor at an analogue input. Its value is scale * (voltage - zero)."""
 
     column: Literal["thrust_N", "recoil_N", "tip_m"]
     input: Literal[1, 2, 3]

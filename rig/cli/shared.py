@@ -40,7 +40,7 @@ RigFile = Annotated[
     Path | None, tyro.conf.arg(metavar="RIG.toml", help_behavior_hint="(default: none)")
 ]
 LEAST_SWING = 1e-4
-"""Smallest swing of the tip at rest that is written to the experiment file [m]."""
+"""A smaller standard deviation of the tip at rest is not written to the experiment file [m]."""
 
 
 def rig_ports() -> None:
@@ -61,7 +61,7 @@ def load_trials(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
 
 
 def copy_experiment(path: Path, folder: Path) -> None:
-    """Copies an experiment file to experiment.toml in a folder, and also copies recorded drives."""
+    """Copies an experiment file to experiment.toml in a folder, and its recorded drives."""
     table, _ = load_trials(path)
     write_bytes(folder / "experiment.toml", path.read_bytes())
     for name in {x.drive_file for x in table.trials if x.drive_file}:
@@ -71,7 +71,7 @@ def copy_experiment(path: Path, folder: Path) -> None:
 def install_experiment(path: Path, folder: Path) -> None:
     """Copies an experiment file to a folder that may contain the copy of an earlier run.
 
-    If the earlier copy differs only by added trials and the measured swing, this copy is kept.
+    If the earlier copy differs only by added trials and the measured swing, this copy remains.
     Raises `InputError` if the folder contains measured trials that the file does not contain.
     """
     earlier = folder / "experiment.toml"
@@ -96,7 +96,7 @@ def _without_swing(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
-    """Writes the tip's swing to an experiment file if it is more than twice the declared swing."""
+    """Writes the tip's measured swing to an experiment file if above twice the declared swing."""
     swing = start_swing(records)
     declared = validate(ExperimentTable, read_toml(path), str(path)).sensors.start_swing
     if swing <= max(2.0 * declared, LEAST_SWING):
@@ -109,7 +109,7 @@ def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
 
 
 def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
-    """Converts an experiment's trial for the rig. Raises `InputError` for a measured drive."""
+    """Returns a trial as the rig plays it. Raises `InputError` for a "measured" drive."""
     name = Path(trial.file).stem
     if trial.waveform != "recorded":
         return PlannedTrial(
@@ -237,7 +237,7 @@ def print_status(line: str) -> None:
 
 
 class StatusLine:
-    """Prints a run's progress in one line of a terminal. Elsewhere, prints a line every 2 s."""
+    """Prints a run's progress: on a terminal in a single line, otherwise as a line every 2 s."""
 
     def __init__(self, rig: Rig, total: int):
         self._rig, self._total, self._next = rig, total, 0.0
@@ -265,6 +265,6 @@ class StatusLine:
         print_status(line)
 
     def end(self) -> None:
-        """Ends the line on a terminal."""
+        """Ends the status line on a terminal."""
         if sys.stderr.isatty():
             print(file=sys.stderr)

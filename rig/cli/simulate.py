@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 SUPPLY_PRESSURE = 600e3
 """Gauge pressure of the simulated supply [Pa]."""
 PLANT_STEP = 1e-3
-"""Time step of the simulated robot [s]. With 2 ms, each step of a pressure causes a spike of 0.1 N
-in the recoil."""
+"""Time step of the simulated robot [s]. With 2 ms, each sudden change of a set pressure causes a
+spike of 0.1 N in the recoil."""
 RIG_FILE, FORCE_NOISE, TIP_NOISE = Path("simulated_rig.toml"), 2e-3, 2e-5
 
 
@@ -44,7 +44,7 @@ def rig_simulate(
 
     The devices use the same protocols as real devices. The command prints the port and writes a
     matching rig file. With an experiment file, the command simulates the robot in water with all
-    effects of the file, in real time. Without one, the rig is a tail in air with delayed pressures.
+    effects of the file, in real time. Without an experiment file, the robot is a tail in air.
 
     Args:
         experiment: experiment file whose robot, water and effects are simulated (default: a tail
@@ -95,8 +95,8 @@ def rig_simulate(
             inject_fault(name, value)
             print(f"{seconds:.1f} s: {name} is {value:g}", file=sys.stderr, flush=True)
 
-    # With Python's default interval, the manifold's thread and the force sensor's thread may delay
-    # one another by 5 ms.
+    # With Python's default switch interval of 5 ms, the threads of the manifold and of the force
+    # sensor may delay one another by 5 ms.
     sys.setswitchinterval(2e-4)
     line_faults = LineFaults(
         flipped=flipped, dropped=dropped, noise=noise, tip_noise=tip_noise, seed=seed
@@ -188,7 +188,7 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
 
     if experiment is not None:
         if hasattr(os, "sched_setaffinity"):
-            # On one core, because several threads of XLA double the duration of a small time step.
+            # The simulation uses one core: several threads of XLA double the time of a small step.
             os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
         from slider_jax.cli.main import prepare_jax
         from slider_jax.experiment.load import load

@@ -39,7 +39,7 @@ STATUS_CHANNELS = (
     (2, "thrust", 1.0, "6.3f", "N"),
     (4, "tip", 1e3, "5.1f", "mm"),
 )
-"""Channels of the status line: index, name, and factor, format and unit of the mean magnitude."""
+"""Channels of the status line: index, name; factor, format and unit of the mean absolute value."""
 LINE_INTERVAL = 2.0
 """Time between status lines if stderr is not a terminal [s]."""
 
@@ -121,7 +121,7 @@ def rig_watch(
 
 @dataclass
 class WatchLog:
-    """Prints and stores the twin's blocks. Times are measured from the first reading [s]."""
+    """Prints and stores the twin's blocks of readings. Times [s] count from the first reading."""
 
     rows: list[dict[str, float]] = field(default_factory=list)
     alarms: list[dict[str, Any]] = field(default_factory=list)
@@ -132,12 +132,12 @@ class WatchLog:
     judged: bool = False
     """Whether the watch has learned the bands of the residuals."""
     misfits: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Rms residual, and fraction of the modelled rms, of each channel with a poor fit."""
+    """For each channel with a poor fit: rms residual, and rms residual / rms of the model."""
     _printed: float = 0.0
     _on: bool = False
 
     def add(self, block: TwinBlock, arrived_ns: int, lost: int) -> None:
-        """Adds a block that was complete at host time `arrived_ns`; `lost` readings are missing."""
+        """Adds a block that was complete at host time `arrived_ns`. `lost` counts lost readings."""
         if not self.rows:
             self.begun = float(block.t[0])
         lag = 1e-9 * (time.monotonic_ns() - arrived_ns)
@@ -153,7 +153,7 @@ class WatchLog:
             _print_line(block, self.rows[-1], lost, new)
 
     def add_misfits(self, misfits: dict[str, tuple[float, float]]) -> None:
-        """Stores the misfits while the bands were learned, and prints these misfits once."""
+        """Stores and prints, once, the misfits from the time in which the bands were learned."""
         if misfits and not self.misfits:
             self.misfits = misfits
             print(f"\n{self._misfit_text()}", file=sys.stderr, flush=True)
@@ -165,8 +165,8 @@ class WatchLog:
             for name, (rms, share) in self.misfits.items()
         )
         return (
-            f"the model did not fit while the bands were learned (rms residuals: {found}); earlier "
-            "faults raise no alarm; run `slider rig check`, or calibrate again"
+            f"the model did not fit while the bands were learned (rms residuals: {found}); a "
+            "fault from that time raises no alarm; run `slider rig check`, or calibrate again"
         )
 
     def print_summary(self) -> None:

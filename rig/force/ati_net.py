@@ -78,7 +78,7 @@ class NetCalibration:
 
     @classmethod
     def fetch(cls, host: str, port: int = 80, timeout: float = 3.0) -> "NetCalibration":
-        """Reads the page of the box at `host`. Raises `RigError` if the box does not answer."""
+        """Reads the web page of the box at `host`. Raises `RigError` if the box does not answer."""
         where = f"http://{host}:{port}/{PAGE}"
         direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:
@@ -107,7 +107,7 @@ class NetCalibration:
 class NetForce(ForceSource):
     """A Net F/T box that streams over UDP.
 
-    Raises `RigError` if `host` is unreachable. `start` raises it if the box does not answer.
+    Raises `RigError` if `host` is unreachable. `start` raises `RigError` if the box is silent.
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class NetForce(ForceSource):
         self._reader = ReaderThread(self.name, receive, self._take, self.patience)
 
     def bias(self) -> None:
-        """Sets the present load as zero. The box subtracts this load until the power fails."""
+        """Sets the present load as zero. The box subtracts this load until it loses power."""
         for _ in range(TRIES):  # the box does not confirm the request, which may be lost
             self._send(rdt.BIAS)
 
@@ -197,7 +197,7 @@ class NetForce(ForceSource):
         return Health(self.tally.received, len(self.tally.missing), self.tally.saturated)
 
     def check(self) -> None:
-        """Raises `RigError` as `ForceSource.check`. Saturation is no error; `health` counts it."""
+        """Raises `RigError` like `ForceSource.check`, but not for saturation; see `health`."""
         if self._reader is not None:
             self._reader.check()
         if self.tally.fault:

@@ -16,11 +16,11 @@ from rig.recording.clock import host_sample_times
 PORT = 49152
 STOP, START, BIAS = 0, 2, 0x42
 INTERNAL_RATE = 7000.0
-"""Rate [1/s] of the box's own samples. `ft_seq` counts these samples. The box does not send all."""
+"""Rate [1/s] of the box's own samples. `ft_seq` counts these samples. The box sends only some."""
 ERROR, SATURATED, LATCHED = 1 << 31, 1 << 17, 1 << 16
 """Bits of the status: any error; saturated transducer; load above a threshold (not an error)."""
 STUCK = 0.1
-"""The sensor is stuck if all six components stay constant for this time [s]; others show noise."""
+"""A sensor is stuck if all six counts are constant for this time [s]; other sensors show noise."""
 
 RECORD = struct.Struct(">III6i")
 _FIELDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
@@ -118,7 +118,7 @@ class Records:
     | `host_ns` | time of arrival on the host's monotonic clock [ns] |
     | `ft_seq`, `status` | the box's count of its own samples, and its status |
     | `counts` | (n, 6) Fx, Fy, Fz, Tx, Ty, Tz |
-    | `late`, `duplicates` | how many records arrived late, and how many were repeated |
+    | `late`, `duplicates` | number of records that arrived late, and of repeated records |
     """
 
     seq: np.ndarray

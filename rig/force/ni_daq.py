@@ -34,7 +34,7 @@ _FIRST = struct.Struct("<Q")
 FULL = 0.995
 """Fraction of the voltage range above which a gauge counts as saturated."""
 BIAS = 0.25
-"""Duration of the samples whose mean becomes the zero [s]."""
+"""Duration [s] of the samples whose mean becomes `zero`, the voltages without load."""
 BLOCK = 0.02
 """Duration of one block of samples [s]."""
 
@@ -99,7 +99,7 @@ class GaugeCalibration:
         return (volts - np.asarray(self.zero)) @ np.asarray(self.matrix).T
 
     def saturated(self, volts: np.ndarray) -> np.ndarray:
-        """Returns True (...) where a gauge is saturated: then all six axes are wrong."""
+        """Returns True (...) where a gauge is saturated. All six axes are then wrong."""
         return np.any(np.abs(volts) >= FULL * self.volts, axis=-1)
 
     def forces(self, host_ns: Sequence[int], blocks: Sequence[bytes]) -> Forces:
@@ -127,7 +127,7 @@ class GaugeCalibration:
 
 
 class GaugeForce(ForceSource):
-    """Six differential inputs of an NI card, such as "Dev1/ai0:5", at the calibration's rate.
+    """Six differential inputs of an NI card, such as "Dev1/ai0:5", read at the calibration's rate.
 
     Raises `RigError` if nidaqmx or its driver is not installed, or the card reports an error.
     """

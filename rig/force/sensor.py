@@ -68,7 +68,7 @@ class Forces(NamedTuple):
 class SensorMounting:
     """The sensor's axes, with sign, that measure thrust and recoil.
 
-    Both are forces of the robot on the clamp: thrust towards the head, recoil towards the left.
+    Thrust (towards the head) and recoil (towards the left) are the robot's forces on the clamp.
     """
 
     thrust: str = "+Fx"
@@ -126,7 +126,7 @@ class ForceSource(ABC):
         """Sets the present load as zero. Call this function at rest, before a recording."""
 
     def latest(self) -> tuple[int, np.ndarray] | None:
-        """Returns arrival [ns] and wrench (6,) [N, N m] of the last record; None without one."""
+        """Returns arrival [ns] and wrench (6,) [N, N m] of the last record (None: no record)."""
         if self._last is None:
             return None
         now, raw = self._last
@@ -204,13 +204,13 @@ class ReaderThread:
             )
 
     def end(self, wait: float) -> bool:
-        """Ends the thread when no data arrive. Returns True if this takes at most `wait` [s]."""
+        """Ends the thread once no data arrive. Returns True if it ends within `wait` [s]."""
         self._ending.set()
         self._thread.join(wait)
         return not self._thread.is_alive()
 
     def abandon(self) -> None:
-        """Ends the thread even if more data arrive."""
+        """Ends the thread even while data arrive."""
         self._abandoned.set()
         self._thread.join()
 
