@@ -2,10 +2,10 @@
 
 The alternatives of a chosen effect are candidates of the same round with nearly the same gain or
 with parallel tangents. During this round, another effect that is still missing can hide differences
-between these candidates. So the alternatives are compared again after the selection, unless a
-residual exceeds the noise floor. Each alternative is substituted for the chosen effect, and all
-parameters are refitted. If the fit becomes worse by the naming threshold, the alternative is
-excluded. All other alternatives form the equivalence class.
+between these candidates. The alternatives are therefore compared again after the selection, unless
+a residual exceeds the noise floor. Each alternative is substituted for the chosen effect, and all
+parameters are refitted. An alternative is excluded if its fit is worse by at least the naming
+threshold. All other alternatives form the equivalence class.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ def equivalent_effects(
     blocks: Sequence[ChannelBlock],
     settings: SelectionSettings,
 ) -> list[str]:
-    """Returns the round's candidates with nearly the gain of `best`, or tangents parallel to it.
+    """Returns candidates with nearly the gain of `best`, or with tangents parallel to its tangents.
 
     `scored` maps each effect to the indices of the parameters from which its score is computed.
     """
@@ -58,8 +58,8 @@ def equivalent_effects(
 def judge_alternatives(refits: Refits, found: Selection) -> None:
     """Substitutes each alternative for its round's chosen effect and updates the equivalence class.
 
-    If an alternative cannot be fitted, or if a residual exceeds the noise floor, the alternative
-    remains in the class if its round put it there.
+    An alternative that cannot be fitted remains in the class if it was in the class before. If a
+    residual exceeds the noise floor, no class changes.
     """
     settings = refits.settings
     for round_ in found.rounds:
@@ -114,8 +114,8 @@ def _substituted(
 ) -> Fit | None:
     """Returns the final fit with an alternative substituted for a round's chosen effect.
 
-    The alternative may already be in the fit. Returns None if another effect in the fit replaces
-    the same law of the base model, or if the substitution cannot be simulated.
+    The final fit may already contain the alternative. Returns None if another effect in the fit
+    replaces the same law of the base model, or if the substitution cannot be simulated.
     """
     assert round_.chosen is not None
     others = [n for n in found.effects if n not in (round_.chosen, alternative)]

@@ -40,17 +40,17 @@ class LoopOutcome:
     problem: AbstractProblem
     """The fit problem of all trials."""
     used: dict[str, dict[str, float]]
-    """`channel_errors` of the trials that were used to select effects."""
+    """`channel_errors` (rms errors by channel) of the trials that were used to select effects."""
     held_out: dict[str, dict[str, float]]
     """`channel_errors` of the held-out trials; empty if there are none."""
     excess: dict[str, Excess]
-    """Excess of the chosen model's residual in the trials used to select effects (noise: 1)."""
+    """Mean squares of the chosen model's whitened residual in the trials of the selection."""
     held: list[int]
     """Held-out trials, as indices of `problem.records`."""
     audit: list[Finding] = field(default_factory=list)
     """Faults of the data and the actions taken."""
     nearest: Fit | None = None
-    """The model with the selected effects, if the verdict does not name them."""
+    """The fit with the selected effects if the verdict does not name them, otherwise None."""
 
     @property
     def effects(self) -> list[str]:
@@ -74,9 +74,9 @@ def choose_held_out(
 ) -> list[int]:
     """Returns the indices of about a quarter of the trials, or none if there are too few trials.
 
-    The held-out trials cover the range of frequencies, except the lowest and the highest one. At
+    The held-out trials cover the range of frequencies without the lowest and highest frequency. At
     least two towed trials and two trials in still water remain in the fit, because an effect may
-    act on one kind of trial only. Trials of the files `kept` always remain in the fit.
+    act on one of these two kinds only. Trials of the files `kept` always remain in the fit.
     """
     if len(found) < 2 * settings.min_trials:
         return []

@@ -11,7 +11,7 @@ from calibration.measurements.records import Record
 from slider_jax.channels import row_of
 
 PHASES = 8
-"""Number of phase bins per stride."""
+"""Number of equal parts of a stride in which the squared residual is averaged."""
 
 
 def locate_residuals(
@@ -23,7 +23,7 @@ def locate_residuals(
     """Returns a record for each channel with a residual above the noise floor.
 
     `predicted` are the readings (channels, samples) of every trial of `records`. `left` contains
-    the excess of the residual in every channel.
+    the mean squares of the whitened residual of every channel.
     """
     found = []
     for channel, x in left.items():
@@ -80,7 +80,7 @@ def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str
 
 
 def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
-    """Returns the frequency and the share of the sine that explains most of a squared residual."""
+    """Returns `peak_Hz` and `peak_share` of `residual_timing` for the residual r at the times t."""
     even = np.arange(t[0], t[-1], float(np.median(np.diff(t))))
     y = np.interp(even, t, r - r.mean())
     power = np.abs(np.fft.rfft(y, 4 * len(y)))[1:] ** 2
@@ -91,7 +91,7 @@ def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
 
 
 def significant_trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None:
-    """Returns the rank correlation of `squares` (one mean square per trial) with a setting.
+    """Returns the rank correlation of the trials' mean squares with one of the trials' settings.
 
     Returns None for fewer than five trials or a p-value of 0.05 or more.
     """

@@ -12,7 +12,7 @@ from slider_jax.channels import CHANNELS, row_of
 from slider_jax.io.figures import new_figure
 
 SHOWN_STRIDES = 3.0
-"""Number of last strides in the figure of readings (seconds if the trial has no frequency)."""
+"""Number of strides in the figure of readings, or of seconds if the trial has no frequency."""
 
 
 def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
@@ -114,7 +114,7 @@ def _consequence(record: dict[str, Any]) -> list[list[str]]:
 
 
 def readings_figure(outcome: LoopOutcome):
-    """Plots one trial's last strides and whole residual, before and after effects were added."""
+    """Plots a trial's last strides and its whole residual, without and with the added effects."""
     record, before, after = _shown_trial(outcome)
     channels = [c for c in CHANNELS if record.has(c)]
     size = 12.0, 1.2 + 1.6 * len(channels)
@@ -142,7 +142,7 @@ def readings_figure(outcome: LoopOutcome):
 
 
 def _shown_trial(outcome: LoopOutcome):
-    """Returns the trial for which the predictions of both fits differ most, and the predictions."""
+    """Returns the trial that the added effects change most, and its predictions (before, after)."""
     fitted = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
     pairs = list(zip(outcome.search.base.predicted, outcome.chosen.predicted, strict=True))
     rows = [row_of(c) for c in outcome.problem.channels]

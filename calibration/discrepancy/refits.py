@@ -16,10 +16,10 @@ from calibration.model.extended import Parameter
 def initial_theta(
     refits: "Refits", theta: np.ndarray, group: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
-    """Returns the vector from which a refit with an effect starts.
+    """Returns the parameter vector from which a refit with an additional effect starts.
 
-    The effect's parameters that have a `Prior.start` begin with this value. If the effect has no
-    such parameter, the refit starts at `theta` plus the score's `step`.
+    `group` are the indices of the effect's parameters. Parameters with a `Prior.start` start there.
+    If no parameter has a start, the vector is `theta` plus the `step` of the effect's score.
     """
     entries = refits.entries
     starts = [i for i in group if entries[i].prior.start is not None]
@@ -36,7 +36,7 @@ def initial_theta(
 
 @dataclass(frozen=True)
 class Refits:
-    """Refits of one problem with the same whiteners, so that sums of squares are comparable."""
+    """Refits of one problem with fixed whiteners, so that their sums of squares are comparable."""
 
     problem: AbstractProblem
     entries: Sequence[Parameter]
@@ -72,7 +72,7 @@ class Refits:
         return None
 
     def without(self, current: Fit, name: str) -> Fit | None:
-        """Returns the fit without an effect, or None if the naming threshold keeps the effect."""
+        """Returns the fit without the effect `name`, or None if the effect is necessary."""
         group = effect_entries(self.entries)[name]
         own = np.isin(current.free, group)
         null = self.null(current.theta, group)

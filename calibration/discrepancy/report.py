@@ -22,7 +22,7 @@ def loop_record(
     source: dict[str, Any],
     following: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Returns report.json. `source` describes the input; `following` is the proposed experiment."""
+    """Returns the content of report.json; `source` is the input, `following` the next trial."""
     trials, given = outcome.problem.records, base_values(outcome.experiment)
     return {
         "verdict": outcome.verdict,
@@ -87,7 +87,7 @@ def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 
 def nearest_effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns the selected effects that the verdict does not name; the model excludes them."""
+    """Returns the selected effects if the verdict does not name them, or else an empty list."""
     names = [] if outcome.effects else outcome.search.effects
     return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
 
@@ -104,7 +104,7 @@ def _interval(outcome: LoopOutcome, effect: str, name: str) -> dict[str, Any]:
 
 
 def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns all candidates of all rounds, best first, with the test results of the refits."""
+    """Returns the candidates of each round, best first, with the test results of refitted ones."""
     rows = []
     for number, round_ in enumerate(outcome.search.rounds, start=1):
         refitted = {t.name: t for t in round_.refitted}
@@ -119,7 +119,7 @@ def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 
 def residual_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns `locate_residuals` of the fitted trials: residuals above the noise floor."""
+    """Returns the records of `locate_residuals` for the trials that were not held out."""
     fitted = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
     floor = outcome.search.settings.noise_floor
     return locate_residuals(fitted, outcome.chosen.predicted, outcome.excess, floor)
@@ -153,7 +153,7 @@ def verdict_text(outcome: LoopOutcome) -> str:
             return text
     if not outcome.search.final.converged:
         return "Inconclusive: the final fit did not converge."
-    return "Inconclusive: a candidate's gain is significant, but cross-validation rejects it."
+    return "Inconclusive: a candidate has a significant gain, but fails the cross-validation."
 
 
 def parameter_lines(record: dict[str, Any]) -> list[str]:
@@ -166,7 +166,7 @@ def parameter_lines(record: dict[str, Any]) -> list[str]:
 
 
 def error_lines(record: dict[str, Any]) -> list[str]:
-    """Returns a line for each channel's error in the held-out trials, or in all trials."""
+    """Returns a line for each channel's error in held-out trials, or in all if none is held out."""
     held = record["held_out"]
     errors, trials = held or record["errors"], "held-out trials" if held else "all trials"
     return [

@@ -15,7 +15,7 @@ from slider_jax.channels import row_of
 
 
 class Agreement(NamedTuple):
-    """Result of cross-validation: does a candidate consistently improve held-out trials?"""
+    """Result of cross-validation: whether a candidate improves predictions of held-out trials."""
 
     mean: float
     """t-statistic: mean of the log gains `Score.left_out`, divided by the mean's standard error."""
@@ -42,7 +42,7 @@ class Refit:
     name: str
     fit: Fit
     gain: float
-    """Reduction of the sum of squares, divided by the refit's mean square."""
+    """Reduction of the whitened residual's sum of squares, divided by the refit's mean square."""
     sizes: dict[str, float]
     """rms change of each channel that the candidate causes, as a fraction of the channel's rms."""
     agreement: Agreement
@@ -55,14 +55,14 @@ class Alternative(NamedTuple):
 
     fit: Fit
     loss: float
-    """Increase of the sum of squares, divided by the final fit's mean square."""
+    """Increase of the whitened sum of squares, divided by the final fit's mean square."""
     sizes: dict[str, float]
-    """rms difference of the two fits in each channel, as a fraction of the channel's rms."""
+    """rms difference between the readings of the two fits, as a fraction of each channel's rms."""
 
 
 @dataclass
 class SelectionStep:
-    """One round of the selection."""
+    """One round of the selection: scores, refits, and the chosen effect with its alternatives."""
 
     scores: list[Score]
     refitted: list[Refit] = field(default_factory=list)
@@ -89,7 +89,7 @@ class Selection:
 
 
 def effect_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
-    """Returns, for every effect, the indices of its parameters."""
+    """Returns the indices in `entries` of every effect's parameters."""
     names = dict.fromkeys(p.effect for p in entries if p.effect)
     return {n: np.array([i for i, p in enumerate(entries) if p.effect == n]) for n in names}
 

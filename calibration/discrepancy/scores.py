@@ -8,7 +8,7 @@ the projection onto the columns of J. The score uses the part G1 of G that is or
 
 The gain is the reduction of the sum of squares if candidate and free parameters are fitted
 together. Cross-validation fits candidate and free parameters to all trials except one, and
-evaluates the gain in the trial that was not fitted.
+evaluates the gain in this held-out trial.
 """
 
 from collections.abc import Sequence
@@ -23,18 +23,18 @@ from calibration.inference.problem import ChannelBlock, summed
 
 
 class Score(NamedTuple):
-    """Score of a candidate that is fitted, linearised, together with the free parameters."""
+    """Predicted result of a joint, linearised fit of a candidate and the free parameters."""
 
     name: str
     gain: float
     """Reduction of the sum of squares, divided by the residual's mean square."""
     p: float
-    """Probability of this gain or more by chance, times the number of candidates; at most 1."""
+    """Probability that noise causes at least this gain, times the number of candidates; max. 1."""
     step: np.ndarray
     """Change (parameters,) of all parameters in the linear fit, in SI units."""
     left_out: np.ndarray
-    """Cross-validated log gain of each trial that the candidate changes visibly: logarithm of the
-    held-out trial's sum of squares without the candidate, divided by the sum with it."""
+    """Cross-validated log gain of each trial that the candidate changes visibly: log(S0/S1), with
+    the held-out trial's sum of squares S0 without the candidate and S1 with the candidate."""
 
 
 def least_squares_step(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -89,9 +89,10 @@ def score(
 
 
 def tangent_cosine(A: np.ndarray, first: np.ndarray, second: np.ndarray, free: np.ndarray) -> float:
-    """Returns the largest |cos| of two candidates' tangents after projecting out `free`.
+    """Returns the largest |cos| between the tangents of the candidates `first` and `second`.
 
-    `A` is the normal matrix. If the cosine is 1, the data cannot discriminate between the effects.
+    The parameters `free` are projected out; `A` is the normal matrix. If the cosine is 1, the data
+    cannot discriminate between the candidates.
     """
     A, n = marginal_information(A, np.concatenate([first, second]), free), len(first)
 

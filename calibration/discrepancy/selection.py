@@ -1,16 +1,16 @@
-"""Selects effects forward and backward: fits, scores all, refits the best, chooses one, repeats.
+"""Selects the effects that a model lacks.
 
-A candidate can be chosen if three conditions hold. Its gain is significant for the number of
+Each round scores all candidates, refits the best candidates and chooses at most one of them. A
+candidate can be chosen if three conditions hold. Its gain is significant for the number of
 candidates. Cross-validation confirms the gain. The candidate changes some channel by more than the
-model-discretisation discrepancy, which `slider_jax.channels` declares before any data.
+model-discretisation discrepancy, a constant in `slider_jax.channels`.
 
 A chosen effect is removed again if effects chosen later make it unnecessary. While two effects are
 missing, a wrong effect that resembles both can explain more than either missing effect. Source:
 Zhang, T. (2011), Adaptive forward-backward greedy algorithm for learning sparse representations,
 IEEE Trans. Inf. Theory 57, 4689-4708.
 
-After the selection, alternatives are substituted for the chosen effects (`alternatives`). An
-alternative that fits better replaces the chosen effect.
+After the selection, alternatives that fit better replace the chosen effects (`alternatives`).
 """
 
 from collections.abc import Callable, Sequence
@@ -51,9 +51,9 @@ def effect_tangents(
     """Returns the readings' change per unit of each parameter, for each trial.
 
     Each array has the shape (parameters, channels, samples). For a parameter with a `Prior.start`,
-    the array contains the secant from null to start. The step of a secant that cannot be simulated
-    is halved. For free parameters and effects without a start, the array contains tangents at
-    `theta`. For all other parameters, and where a tangent is not finite, the array is zero.
+    the array contains the secant from null to start. If a secant cannot be simulated, its step is
+    halved. For free parameters and effects without a start, the array contains tangents at `theta`.
+    For all other parameters, and where a tangent is not finite, the array is zero.
     """
     scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
     finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
@@ -89,10 +89,7 @@ def select_effects(
     base_names: Sequence[str] = tuple(BASE),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> Selection:
-    """Selects those effects in `entries` that are missing in the base model of the trials.
-
-    `base_names` are the names of the fitted parameters of the base model.
-    """
+    """Selects the effects that the base model with the fitted parameters `base_names` lacks."""
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
     first = fit_gauss_newton(problem, entries, theta, free, progress)
@@ -188,7 +185,7 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
-    """Returns the candidates to refit: the best ones by tangents and the best ones by secants."""
+    """Returns the candidates to refit: the best scored by tangents, and the best by secants."""
     entries, settings = refits.entries, refits.settings
     best = scores[0].gain
 

@@ -29,17 +29,14 @@ def effects_at_bounds(search: Selection, entries: Sequence[Parameter]) -> list[s
 
 
 def effects_at_same_place(search: Selection) -> list[str]:
-    """Returns the added effects at the same place, except effects that replace a law."""
+    """Returns added effects that act at the same place, without effects that replace a law."""
     kinds = {name: LIBRARY[name] for name in search.effects if not LIBRARY[name].replaces_law}
     places = [kind.place() for kind in kinds.values()]
     return [name for name, kind in kinds.items() if places.count(kind.place()) > 1]
 
 
 def rms_reduction(before: float, after: float) -> float:
-    """Returns the relative reduction of a channel's rms above the noise floor.
-
-    `before` and `after` are mean squares of the whitened residual.
-    """
+    """Returns the relative reduction of (rms - 1) from the whitened residual's mean squares."""
     start, end = (np.sqrt(max(x, 1.0)) - 1.0 for x in (before, after))
     return float((start - end) / start) if start > 0.0 else 0.0
 
@@ -52,8 +49,8 @@ def reach_verdict(
 ) -> str:
     """Returns the verdict; `before` and `after` are the excess of the base fit and final fit.
 
-    If a parameter is at a bound of its prior range, the verdict is "unexplained". If a residual is
-    above the noise floor, effects at one place form a class.
+    If an added effect has a parameter at a bound of its prior range, the verdict is "unexplained".
+    If a residual exceeds the noise floor, added effects at one place of the model form a class.
     """
     settings = search.settings
     left = {c: x.all for c, x in after.items() if x.all > settings.noise_floor}

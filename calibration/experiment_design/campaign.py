@@ -1,6 +1,6 @@
 """Captures trials, closes the loop and chooses the next trial, until the verdict is final.
 
-A function `capture` of the caller runs the trials on a rig, a simulated rig or another program.
+The caller provides a function that runs trials on a rig, on a simulated rig or in another program.
 """
 
 import json
@@ -23,7 +23,7 @@ from slider_jax.io.files import input_file, write_json, write_text
 Capture = Callable[[tuple[Trial, ...]], None]
 """Function that writes the files of the given trials to the experiment's folder."""
 BUDGET = 12
-"""Default limit on the number of trials."""
+"""Default limit on the number of trials in a campaign."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Campaign:
     report: dict[str, Any]
     """Content of report.json of the last round."""
     settled: bool
-    """Whether the verdict is final."""
+    """Whether the verdict of the last round is final."""
 
 
 def verdict_is_final(outcome: LoopOutcome, following: dict[str, Any]) -> bool:
@@ -62,8 +62,8 @@ def run_campaign(
 ) -> Campaign:
     """Closes the loop on the experiment file `path` repeatedly, with at most `budget` trials.
 
-    Each round captures the file's trials that are not yet measured and closes the loop with
-    `close`. The round then adds a trial within `limits` to the file and writes `out`/round_NN.json.
+    Each round captures the trials in the file that are not yet measured, closes the loop with
+    `close` and writes `out`/round_NN.json. The round then adds a trial within `limits` to the file.
     A repeated call resumes an interrupted campaign. Raises `InputError` if the budget is smaller
     than the number of trials in the file.
     """

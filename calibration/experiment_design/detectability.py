@@ -1,15 +1,15 @@
-"""Computes effects' detection limits, and which effects an experiment cannot discriminate.
+"""Computes the detection limits and the equivalence classes of effects in an experiment.
 
-No data are needed. A is the Fisher information of all trials, F the base parameters, and e one
-parameter of an effect, at the distance s from the null. Calibration of F absorbs a part of the
-effect's gain. The remaining gain is
+The computation needs no measured data. A is the Fisher information of all trials, F the base
+parameters, and e an effect's parameter, at the distance s from its null. Calibration of F absorbs a
+part of the effect's gain. The remaining gain is
 
     gain = s^2 (A_ee - A_eF A_FF^-1 A_Fe)
 
-The loop names the effect if the gain exceeds the threshold of the selection, and some channel
-changes by more than the model-discretisation discrepancy. The detection limit is larger than the
-smallest such s, so that nine of ten such effects are detected despite noise (Currie, L. A.
-(1968), Limits for qualitative detection and quantitative determination, Anal. Chem. 40, 586-593).
+The loop names the effect if the gain exceeds `required_gain` and a channel changes by more than the
+model-discretisation discrepancy. The smallest such s is the decision limit. The detection limit is
+larger, so that nine of ten experiments detect the effect despite noise (Currie, L. A. (1968),
+Limits for qualitative detection and quantitative determination, Anal. Chem. 40, 586-593).
 Two effects form a class if their tangents, without the parts that F absorbs, are parallel.
 """
 
@@ -41,24 +41,25 @@ from slider_jax.experiment.load import Experiment
 from slider_jax.simulation.effect_signature import typical_size
 
 DETECTION_MARGIN = 1.2816
-"""Distance between decision limit and detection limit in standard errors, for a power of 90 %."""
+"""Detection limit minus decision limit, in standard errors, for a detection probability of 90 %."""
 ABSORBED_SHARE = 1e-9
-"""Calibration absorbs a parameter if at most this fraction of its information remains."""
+"""Calibration absorbs an effect if the fit of the base parameters leaves at most this fraction of
+the Fisher information about the effect's parameter."""
 
 
 class DetectionLimit(NamedTuple):
-    """The distance of an effect's parameter from its null above which the loop names the effect."""
+    """Detection limit of one parameter of an effect, as a distance from the parameter's null."""
 
     parameter: Parameter
     significant: float
-    """Distance from the null at which the gain is significant, in SI units. Infinite if calibration
+    """Smallest distance from the null with a significant gain, in SI units. Infinite if calibration
     absorbs the effect, NaN if the effect cannot be simulated."""
     nameable: float
-    """Distance from the null at which a channel's change equals its discrepancy, in SI units."""
+    """Smallest distance from the null that changes a channel by its discrepancy, in SI units."""
     error: float
     """Standard error of the parameter due to noise, in SI units."""
     finite: bool
-    """Whether the limit was computed from a secant instead of the tangent at the null."""
+    """Whether this limit is computed from a secant instead of the tangent at the null."""
 
     @property
     def size(self) -> float:
@@ -67,13 +68,13 @@ class DetectionLimit(NamedTuple):
 
     @property
     def relative(self) -> float:
-        """Returns the limit divided by the larger distance from the null to a prior range's end."""
+        """Returns `size` divided by the distance from the null to the prior range's far end."""
         prior = self.parameter.prior
         return self.size / max(abs(prior.low - prior.null), abs(prior.high - prior.null))
 
     @property
     def share(self) -> float:
-        """Returns the fraction of the prior range that is beyond the limit, 0 to 1."""
+        """Returns the fraction (0 to 1) of the prior range in which the effect is detectable."""
         prior = self.parameter.prior
         beyond = [max(abs(end - prior.null) - self.size, 0.0) for end in (prior.low, prior.high)]
         return sum(beyond) / (prior.high - prior.low) if np.isfinite(self.size) else 0.0
@@ -81,21 +82,21 @@ class DetectionLimit(NamedTuple):
 
 @dataclass(frozen=True)
 class DetectabilityMatrix:
-    """Detection limits of effects, and the pairs that an experiment can discriminate."""
+    """Detection limits and equivalence classes of the n effects `names` in an experiment."""
 
     information: TrialInformation
     channels: list[ChannelInformation]
     limits: list[DetectionLimit]
     names: list[str]
     cosines: np.ndarray
-    """|cos| between the tangents of two effects (n, n); NaN if no channel observes an effect."""
+    """|cos| between the tangents of two effects, shape (n, n); NaN if an effect is unobservable."""
     opposed: np.ndarray
-    """Whether the signs of the parameters discriminate between two effects (n, n)."""
+    """Whether two effects can only change the readings in opposite directions, shape (n, n)."""
     classes: list[list[str]]
 
     @property
     def limit(self) -> dict[str, list[DetectionLimit]]:
-        """Returns the limits of each effect."""
+        """Returns the detection limits of each effect, one for each parameter."""
         return {n: [x for x in self.limits if x.parameter.effect == n] for n in self.names}
 
 
@@ -142,7 +143,7 @@ def detectability_matrix(
 def _limit(
     channels: Sequence[ChannelInformation], i: int, free: np.ndarray, gain: float
 ) -> tuple[float, float, float]:
-    """Returns `significant`, `nameable` and `error` of the limit of the entry `i`."""
+    """Returns the fields `significant`, `nameable` and `error` of the limit of parameter `i`."""
     A = information(channels)
     if not np.isfinite(A[i]).all():
         return np.nan, np.nan, np.nan
@@ -158,7 +159,7 @@ def _limit(
 
 
 def _pairs(A, names, indices, free, entries) -> tuple[np.ndarray, np.ndarray]:
-    """Returns, for all pairs of effects, |cos| and whether the parameters' signs discriminate."""
+    """Returns the fields `cosines` and `opposed` of `DetectabilityMatrix`."""
     n = len(names)
     cosines, opposed = np.full((n, n), np.nan), np.zeros((n, n), bool)
 
@@ -193,7 +194,7 @@ def _opposed(A, first, second, free, entries: Sequence[Parameter]) -> bool:
 def equivalence_classes(
     names: Sequence[str], cosines: np.ndarray, opposed: np.ndarray, found: set[str]
 ) -> list[list[str]]:
-    """Returns classes of those effects in `found` that have |cos| above `parallel_cosine`."""
+    """Returns the classes: groups of effects in `found` with |cos| above `parallel_cosine`."""
     linked = (np.nan_to_num(cosines) > DEFAULT_SETTINGS.parallel_cosine) & ~opposed
     there = np.array([name in found for name in names])
     linked &= there[:, None] & there
@@ -205,7 +206,7 @@ def equivalence_classes(
 def effects_at_limits(
     m: DetectabilityMatrix, names: Sequence[str]
 ) -> tuple[TrialInformation, np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Returns the first arguments of `separating_trial` for effects at their detection limits.
+    """Returns the first four arguments of `separating_trial`, for effects at detection limits.
 
     If a limit is outside the prior range, the end of the prior range replaces the limit.
     """

@@ -1,16 +1,16 @@
 """Searches for the trial that discriminates between a chosen effect and its alternatives.
 
 After the selection, the model was fitted with the chosen effect and with each alternative. Suppose
-that the first of two such models is true. Let d be the difference between the readings of both, J
-the tangents of the second model, x a change of the second model's parameters, and W the whitening:
+that the first of two such models is true. Let d be the difference between the two models' readings,
+J the tangents of the second model, x a change of its parameters, and W the whitening matrix:
 
     lambda = min over x of |W (d + J x)|^2
 
 The sum of squares includes the existing trials and one new trial. Lambda is the expected loss of
 the second model: the noncentrality of the chi-square test that rejects this model. Lambda is also
-computed with exchanged roles. The larger value is used, because a model with more parameters may be
-able to imitate the true model. The module `alternatives` uses this loss and the difference of the
-channels to exclude a model.
+computed with the second model as the true one. The larger value is used, because a model with more
+parameters may be able to imitate the true model. The module `alternatives` excludes a model by this
+loss and by the difference between the readings of each channel.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,21 +41,21 @@ MAX_REPEATS = 12
 
 
 class ModelDistance(NamedTuple):
-    """Distance between the readings of two models after one model was refitted to the other."""
+    """Distance between the readings of two models, after a refit of one model to the other."""
 
     sigmas: float
-    """Square root of lambda: the distance in standard deviations."""
+    """Square root of lambda: the distance in standard deviations of the noise."""
     shares: dict[str, float]
-    """rms difference of every channel, as a fraction of the channel's rms."""
+    """rms difference of the readings in each channel, as a fraction of the channel's rms."""
 
     @property
     def threshold_ratio(self) -> float:
-        """Returns a ratio to the naming threshold. If the ratio is > 1, the data discriminate."""
+        """Returns the distance over the naming threshold; above 1, the data exclude a model."""
         return min(self.sigmas**2 / DEFAULT_SETTINGS.min_gain, self.channel[1] ** 2)
 
     @property
     def channel(self) -> tuple[str, float]:
-        """Returns the channel with the largest ratio difference/discrepancy, and this ratio."""
+        """Returns the channel with the largest ratio difference/discrepancy, and the ratio."""
         found = {c: x / CHANNELS[c].discrepancy for c, x in self.shares.items()}
         return max(found.items(), key=lambda item: item[1])
 
@@ -63,8 +63,8 @@ class ModelDistance(NamedTuple):
 def model_distance(channels: Sequence[ChannelInformation], unit: float) -> ModelDistance:
     """Returns the distance between a refitted model and a second model.
 
-    The information in `channels` is along the refitted model's parameters and, as the last
-    direction, the difference between both models. `unit` is the residual's mean square.
+    The directions of the information in `channels` are the refitted model's parameters and, last,
+    the difference between the models' readings. `unit` is the whitened residual's mean square.
     """
     A = information(channels)
     rest, last = np.arange(len(A) - 1), np.array([len(A) - 1])
@@ -86,15 +86,15 @@ def discriminating_trial(
     """Returns the record of the trial that discriminates best between an effect and an alternative.
 
     For each alternative to the effect `name`, `predictions` contains two models: one with the
-    alternative and one with the effect. The field `other` of a model contains the second model's
-    parameters. The models were fitted to `trials`; `unit` is their residual's mean square. "times"
-    in the record is the number of repetitions that excludes an effect (None: > `MAX_REPEATS`).
+    alternative and one with the effect. Each model's field `other` contains the parameters of the
+    other model. All models were fitted to `trials`. `unit` is the mean square of the residual.
+    "times" in the record is how many repetitions exclude an effect (None: over `MAX_REPEATS`).
     """
     models = [f for pair in predictions.values() for f in pair]
     before = [f.trials(trials, progress) for f in models]
 
     def after(channels: list[list[ChannelInformation]], times: int = 1) -> list[ModelDistance]:
-        """Returns each alternative's distance after the trial is run `times` times."""
+        """Returns the distance of each alternative after `times` repetitions of the trial."""
         pairs = zip(before, channels, strict=True)
         found = [model_distance([*a, *(times * b)], unit) for a, b in pairs]
         both = zip(found[::2], found[1::2], strict=True)
@@ -107,7 +107,7 @@ def discriminating_trial(
         return None
 
     def goal(channels: list[list[ChannelInformation]]) -> float:
-        """Returns a score that prefers few repetitions, and then a large mean distance."""
+        """Returns the objective: fewer repetitions are better, then a larger mean distance."""
         found = np.array([x.threshold_ratio for x in after(channels)])
         far = np.mean(np.minimum(found, 1.0)) + 1e-2 * np.mean(found / (1.0 + found))
         return float(far) - 2.0 * (needed(channels) or MAX_REPEATS + 1)
@@ -140,7 +140,7 @@ def discriminating_trial(
 def _difference(now: ModelDistance, then: ModelDistance) -> str:
     channel, _ = then.channel
     return (
-        f"the distance grows from {now.sigmas:.1f} to {then.sigmas:.1f} standard deviations, and "
+        f"their distance grows from {now.sigmas:.1f} to {then.sigmas:.1f} standard deviations, and "
         f"the difference in {channel} from {100.0 * now.shares[channel]:.2g} to "
         f"{100.0 * then.shares[channel]:.2g} % (model-discretisation discrepancy "
         f"{100.0 * CHANNELS[channel].discrepancy:.2g} %)"

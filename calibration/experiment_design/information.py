@@ -36,8 +36,8 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.effect_signature import typical_size
 
 FINITE_START = 0.1
-"""Step of a secant, as a fraction of the prior range. A secant replaces the tangent of an effect
-that is nonlinear at its null."""
+"""Step of a secant, as a fraction of the distance from the null to the far end of the prior range.
+A secant replaces the tangent of an effect that is nonlinear at its null."""
 MIN_COSINE = 0.9
 """An effect is nonlinear if the cosine between its tangent and its secant is below this value."""
 MAX_LENGTH_RATIO = 1.5
@@ -46,21 +46,21 @@ MAX_LENGTH_RATIO = 1.5
 
 @dataclass(frozen=True)
 class SensorModel:
-    """The sensors of an experiment."""
+    """Noise and sample times of an experiment's sensors."""
 
     noise: dict[str, Noise]
     """Noise of each channel."""
     every: dict[str, int]
     """Number of samples per reading of a channel (2: every second sample has a reading)."""
     measured: dict[str, Record]
-    """Measured trials by file name. Their information is predicted at the measured samples."""
+    """Measured trials by file name. The prediction uses the sample times of these trials."""
 
     @classmethod
     def of(cls, experiment: Experiment, found: Sequence[Record] | None = None) -> "SensorModel":
-        """Returns the sensors of the measured trials `found`, or the declared sensors if none.
+        """Returns the sensors of the measured trials `found`, or else the declared sensors.
 
-        If `found` is None, existing files are read. A channel that is neither measured nor declared
-        has no sensor. Raises `InputError` if no channel has a sensor.
+        If `found` is None, the trials are read from their files. The declared sensors are used if
+        no trial is measured. Raises `InputError` if no channel has a sensor.
         """
         if found is None:
             there = any((experiment.folder / t.file).exists() for t in experiment.trials)
@@ -95,7 +95,7 @@ class SensorModel:
 
 
 class ChannelInformation(NamedTuple):
-    """Information of one trial and channel along k directions (k parameters of the model)."""
+    """`A` (k, k), `raw` (k, k) and `square` (see module) of a channel's n readings in a trial."""
 
     trial: int
     channel: str
@@ -107,7 +107,7 @@ class ChannelInformation(NamedTuple):
 
 @dataclass(frozen=True)
 class TrialInformation:
-    """Predicts the information of trials from a model, chosen parameters and sensors."""
+    """Predicts the Fisher information of trials about the chosen parameters of a model."""
 
     experiment: Experiment
     effects: tuple[str, ...]
@@ -117,13 +117,13 @@ class TrialInformation:
     """Indices (k,) of the parameters in theta along which the tangents are computed."""
     sensing: SensorModel
     secants: dict[int, float]
-    """Step of each parameter whose secant is used instead of the tangent."""
+    """Step, in SI units, of each parameter (index in theta) whose secant replaces the tangent."""
     coarse: Resolution = COARSE
     memo: Memo | None = None
     """Cache of simulated readings."""
     other: np.ndarray | None = None
-    """Parameters of a second model. If they are given, the last direction is the readings of the
-    second model minus the readings of this model."""
+    """Parameters of a second model. If they are given, the last of the k directions is the
+    difference between the readings: second model minus this model."""
 
     @property
     def entries(self) -> list[Parameter]:
@@ -132,7 +132,7 @@ class TrialInformation:
         return [every[i] for i in self.chosen]
 
     def plan(self, trial: Trial) -> TrialPlan:
-        """Returns the plan of a trial. If the trial is measured, the plan has its sample times."""
+        """Returns the simulation inputs of a trial, with the sample times of a measured trial."""
         record = self.sensing.measured.get(trial.file)
         at = None if record is None else record.t
         return plan_trial(self.experiment, trial, self.effects, self.coarse, at)
@@ -163,7 +163,7 @@ class TrialInformation:
         return found
 
     def _readings(self, trial: Trial, p: TrialPlan) -> list[np.ndarray]:
-        """Returns readings (channels, n) and tangents (k, channels, n); k = 0 for a failed step."""
+        """Returns readings (channels, n), tangents (k, channels, n); k = 0 if simulation fails."""
 
         def make() -> list[np.ndarray]:
             y = predict_readings(p, self.theta)
@@ -175,7 +175,7 @@ class TrialInformation:
         return cached(self.memo, name, [self.theta, self.chosen, steps], make)
 
     def _other(self, trial: Trial, p: TrialPlan) -> np.ndarray | None:
-        """Returns the readings (channels, n) of the other model."""
+        """Returns the readings (channels, n) of the second model; None without this model."""
         other = self.other
         if other is None:
             return None
@@ -183,7 +183,7 @@ class TrialInformation:
         return cached(self.memo, name, [other], lambda: [predict_readings(p, other)])[0]
 
     def _tangents(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
-        """Returns tangents or secants (k, 5, n); NaN if they cannot be simulated."""
+        """Returns tangents or secants (k, channels, n); NaN where the simulation fails."""
         straight = [j for j, i in enumerate(self.chosen) if i not in self.secants]
         J = np.empty((len(self.chosen), len(CHANNELS), len(p.at)))
         if straight:
@@ -216,7 +216,7 @@ def predict_information(
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
 ) -> TrialInformation:
-    """Returns the predictor for the base parameters and `effects`, at the experiment's values.
+    """Returns the `TrialInformation` of base parameters and `effects`, at the experiment's values.
 
     Raises `InputError` if the experiment has no fixed C_d and m_a, or declares no noise.
     """
@@ -242,10 +242,10 @@ def _secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: fl
 
 
 def secant_steps(f: TrialInformation) -> dict[int, float]:
-    """Returns the steps of the parameters that need a secant.
+    """Returns the steps, in SI units, of the parameters that need a secant.
 
-    These parameters have a `Prior.start`, or belong to an effect that is nonlinear at the null in
-    the experiment's shortest trial. If a secant cannot be simulated, the tangent is used.
+    These are the parameters that have a `Prior.start` or are nonlinear at the null in the
+    experiment's shortest trial. If a secant cannot be simulated, the tangent is used.
     """
     p = min((f.plan(t) for t in f.experiment.trials), key=lambda p: p.grid.steps)
     y = predict_readings(p, f.theta)

@@ -1,8 +1,9 @@
 """Proposes the next trial to measure after a verdict of the loop.
 
-After "class", the proposed trial discriminates between the effects of the class. The trial with the
-largest residual is repeated after "unexplained" or "inconclusive", or if a class has a residual
-above the noise floor. After all other verdicts, the trial narrows the widest interval.
+After "unexplained" and "inconclusive", the proposal repeats the trial with the largest residual.
+After "class", the same holds if a residual exceeds the noise floor; otherwise the proposed trial
+discriminates between the effects of the class. After all other verdicts, the proposed trial narrows
+the widest interval of a parameter.
 """
 
 from collections.abc import Callable
@@ -36,7 +37,7 @@ from calibration.measurements.records import Record
 from slider_jax.errors import InputError, SolverError
 
 LOOP_EFFORT = SearchEffort(spread=12, rounds=1)
-"""Effort of the trial search at the end of the loop. A larger effort would take too long."""
+"""Effort of the trial search at the end of the loop. The default effort would take too long."""
 Progress = Callable[[str], None]
 
 
@@ -46,7 +47,7 @@ def next_experiment(
     limits: TrialLimits | None = None,
     effort: SearchEffort = LOOP_EFFORT,
 ) -> dict[str, Any]:
-    """Returns the record of the next experiment for report.json; its trial may be None.
+    """Returns the record of the next experiment for report.json; its "trial" may be None.
 
     `limits` are the trial's limits (default: the widened ranges of the experiment's trials).
     """
@@ -67,7 +68,7 @@ def _none(text: str) -> dict[str, Any]:
 
 
 def _again(outcome: LoopOutcome) -> dict[str, Any]:
-    """Returns a repetition of the trial with the largest ratio of residual to noise."""
+    """Returns the record that proposes to repeat the trial with the largest whitened residual."""
     records = _fitted(outcome)
     channel, x = max(outcome.excess.items(), key=lambda item: np.nanmax(item[1].trials))
     worst = int(np.nanargmax(x.trials))
@@ -99,7 +100,7 @@ def _prediction(
 def _discriminating(
     outcome: LoopOutcome, limits: TrialLimits, effort: SearchEffort, progress: Progress
 ) -> dict[str, Any]:
-    """Returns the trial for the first class that a trial can reduce, or for the last class."""
+    """Returns the best trial for the first class that a trial can reduce, or for the last class."""
     found = _none("No trial is proposed: no alternative can be fitted instead of a chosen effect.")
     last, trials = outcome.search.final, [r.trial for r in _fitted(outcome)]
     for round_ in outcome.search.rounds:
@@ -146,7 +147,7 @@ def _narrowing(
     after = float(np.sqrt(final.inflation * -best.value))
     unit = "" if p.prior.unit == "-" else f" {p.prior.unit}"
     text = (
-        f"{trial_text(best.trial)} narrows the widest interval, that of {p.label}, most: "
+        f"{trial_text(best.trial)} narrows the widest interval (parameter {p.label}) most: "
         f"the standard error due to noise falls from {errors[widest]:.2g} to {after:.2g}{unit}."
     )
     return next_trial_record("narrow", text, best.trial, limits) | {

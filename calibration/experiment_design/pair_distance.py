@@ -36,7 +36,7 @@ DISCRIMINATED_SIGMAS = 3.0
 
 
 class EffectPair(NamedTuple):
-    """Two effects with the cosine and the distance between their readings."""
+    """Two effects, |cos| between their tangents, and their distance in standard deviations."""
 
     first: str
     second: str
@@ -50,7 +50,7 @@ def effect_pairs(
     sizes: Mapping[str, np.ndarray],
     free: np.ndarray,
 ) -> list[EffectPair]:
-    """Returns all pairs of the effects in `indices` with the given `sizes` and information A."""
+    """Returns all pairs of effects of the given `sizes`; `indices` and `free` are rows of A."""
     found = []
     for first, second in combinations(indices, 2):
         one, other = indices[first], indices[second]
@@ -78,8 +78,8 @@ def separating_trial(
 ) -> dict[str, Any]:
     """Returns the record of the trial that discriminates best between effects.
 
-    `indices` are the effects' positions in `f.chosen` and `sizes` their assumed sizes. All other
-    parameters are refitted. `before` (k, k) is the information of the existing trials.
+    `indices` are the positions of each effect's parameters in `f.chosen`, and `sizes` their assumed
+    values. All other parameters are refitted. `before` (k, k): information of existing trials.
     """
     effects = np.concatenate(list(indices.values()))
     free = np.setdiff1d(np.arange(len(f.chosen)), effects)

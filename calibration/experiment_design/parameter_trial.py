@@ -1,7 +1,7 @@
-"""Proposes the trial that is predicted to narrow a parameter's interval most.
+"""Proposes the trial that is predicted to narrow the 95 % interval of a fitted parameter most.
 
 A trial adds the Fisher information J J^T to the information of the measured data. J contains the
-whitened tangents of the trial's readings at the fitted parameters. The sum predicts the interval.
+whitened tangents of the trial's readings. The inverse of the sum gives the predicted interval.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -27,28 +27,28 @@ from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 
 GRID_FREQUENCIES, GRID_STRIDES, MIN_SECONDS = 4, 3.0, 2.0
-"""Number of frequencies in the grid; strides and smallest duration [s] of a proposed trial."""
+"""Number of drive frequencies to compare; strides and smallest duration [s] of a proposed trial."""
 
 
 class Proposal(NamedTuple):
-    """A trial, and the predicted interval of a parameter."""
+    """A proposed trial, and the interval of one parameter that is predicted for this trial."""
 
     trial: Trial
     half_width: float
-    """Half width of the 95 % interval, in SI units."""
+    """Half width of the predicted 95 % interval, in the SI unit of the parameter."""
     determined: bool
-    """Whether the parameter will be determined, so that a report contains its value."""
+    """Whether the predicted interval is narrow enough to determine the parameter."""
 
 
 class MeasuredInformation(NamedTuple):
-    """Information and sensors of the measured data."""
+    """Fisher information of the measured trials, and the sensors of these trials."""
 
     information: np.ndarray
-    """J J^T (k, k) of the fitted parameters."""
+    """Fisher information (k, k) of the k fitted parameters over the residual's mean square."""
     free: np.ndarray
-    """Indices (k,) of the fitted parameters."""
+    """Indices (k,) of the fitted parameters in the parameter vector."""
     sensing: SensorModel
-    """Sensors with the median noise of each channel."""
+    """Sensors. The noise of each channel is the median over the measured trials."""
 
     @classmethod
     def of(cls, problem: AbstractProblem, fit: Fit) -> "MeasuredInformation":
@@ -113,10 +113,10 @@ def best_trial(
     measured: MeasuredInformation,
     resolution: Resolution = COARSE,
 ) -> dict[int, Proposal]:
-    """Returns, for each parameter index in `wanted`, the trial that narrows its interval most.
+    """Returns, for each parameter index in `wanted`, the trial that narrows the interval most.
 
-    The interval follows from the measured data together with one of the `candidates`, if all free
-    parameters are fitted. Candidates that cannot be simulated are skipped.
+    The predicted interval is that of a joint fit of all free parameters to the measured data and
+    to one of the `candidates`. Candidates that cannot be simulated are skipped.
     """
     effects = tuple(dict.fromkeys(p.effect for p in entries if p.effect))
     model = TrialInformation(
@@ -156,19 +156,19 @@ def propose_trials(
         int(i)
         for i in fit.free
         if not determined(entries[i], *confidence_interval(fit, entries, int(i))[1:])
-        and value_by_variation(fit, int(i)) is None  # None: both estimates agree
+        and value_by_variation(fit, int(i)) is None  # None: mean forces do not shift the estimate
     ]
     candidates = feasible_trials(experiment) if wanted else []
     if not candidates:
         return {}
     names = ", ".join(entries[i].label for i in wanted)
-    progress(f"not determined: {names}; searching {len(candidates)} trials for the best one")
+    progress(f"the data do not determine {names}; comparing {len(candidates)} possible trials")
     measured = MeasuredInformation.of(problem, fit)
     return best_trial(experiment, entries, fit.theta, wanted, candidates, measured, resolution)
 
 
 def proposal_record(x: Proposal) -> dict[str, Any]:
-    """Returns a proposal as in calibration.json."""
+    """Returns a proposal in the form that calibration.json contains."""
     keys = ("frequency", "amplitude", "rear_ratio", "phase", "tow_speed", "duration")
     return {
         "trial": {name: getattr(x.trial, name) for name in keys},
@@ -178,7 +178,7 @@ def proposal_record(x: Proposal) -> dict[str, Any]:
 
 
 def proposal_sentence(p: Parameter, x: Proposal) -> str:
-    """Returns a proposal as a sentence."""
+    """Returns the proposed trial and the predicted interval of the parameter `p` as text."""
     t = x.trial
     assert t.frequency is not None and t.amplitude is not None
     tow = f", towed at {t.tow_speed:g} m/s" if t.tow_speed else ", in still water"
@@ -189,4 +189,4 @@ def proposal_sentence(p: Parameter, x: Proposal) -> str:
     to = f"{p.label} to ±{x.half_width:.2g} {p.prior.unit}".rstrip(" -")
     if x.determined:
         return f"a trial of {how}, would determine {to}"
-    return f"no trial in the experiment's limits is sufficient; the best trial ({how}) narrows {to}"
+    return f"no trial in the experiment's ranges is sufficient; the best ({how}) would narrow {to}"

@@ -23,16 +23,17 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.io.toml import quantity_of, toml_text, validate
 
 TRIAL_STRIDES, MAX_SECONDS, MIN_STRIDES = 6.0, 2.0, 2.0
-"""A trial lasts the shorter of `TRIAL_STRIDES` and `MAX_SECONDS` [s], at least `MIN_STRIDES`."""
+"""A trial lasts `TRIAL_STRIDES` strides or `MAX_SECONDS` [s], whichever is shorter, but at least
+`MIN_STRIDES` strides."""
 WIDENING = 0.1
-"""Fraction by which each end of the range of the experiment's trials is widened: a fraction of the
-end's value for `LOGARITHMIC` quantities, and of the range's width for all other quantities."""
-LOGARITHMIC = ("frequency", "amplitude")
+"""The default limits widen the range of the experiment's trials at each end by this fraction of the
+end's value (quantities in `LOGARITHMIC`) or of the range's width (all other quantities)."""
+LOGARITHMIC = ("frequency", "amplitude")  # quantities that the search spaces logarithmically
 QUANTITIES = ("frequency", "amplitude", "phase", "tow_speed")
 
 
 class TrialLimits(NamedTuple):
-    """Allowed ranges (low, high) of a trial, in SI units."""
+    """Ranges (low, high) that the search allows for the quantities of a trial, in SI units."""
 
     frequency: tuple[float, float]
     amplitude: tuple[float, float]
@@ -41,20 +42,20 @@ class TrialLimits(NamedTuple):
 
 
 class SearchEffort(NamedTuple):
-    """Number of evenly spread trials, and number of rounds of the pattern search."""
+    """Number `spread` of evenly spread trials, and number `rounds` of pattern-search rounds."""
 
     spread: int = 24
     rounds: int = 3
 
 
 class PredictedTrial(NamedTuple):
-    """A trial with its predicted information."""
+    """A trial, its predicted information, and the value of the search's objective."""
 
     trial: Trial
     channels: list[list[ChannelInformation]]
-    """Information that each model predicts."""
+    """Information (one entry per channel) that each model predicts for the trial."""
     value: float
-    """Objective, to be maximised; -inf if the trial cannot be simulated."""
+    """Objective, which the search maximises; -inf if the trial cannot be simulated."""
 
 
 def limits_of(
@@ -62,7 +63,7 @@ def limits_of(
 ) -> TrialLimits:
     """Returns the ranges `given` or, by default, the widened ranges of the experiment's trials.
 
-    Raises `InputError` for a reversed range, a value that is not allowed, or a missing range.
+    Raises `InputError` if a range is reversed, not allowed, or neither given nor in the trials.
     """
     ranges = []
     for name in QUANTITIES:
@@ -95,12 +96,12 @@ def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, f
     def rounded(x: float) -> float:
         return float(np.clip(float(f"{x:.3g}"), allowed.low, allowed.high))
 
-    # An end at zero is not widened, because a gantry may not tow at all or only in one direction.
+    # An end at zero is not widened: the gantry may be unable to tow, or tow in one direction only.
     return rounded(low - lower if low else 0.0), rounded(high + upper if high else 0.0)
 
 
 def trial_at(experiment: Experiment, limits: TrialLimits, point: np.ndarray) -> Trial:
-    """Returns the trial with rounded values at `point` (4,); 0 and 1 are the ends of the limits."""
+    """Returns the rounded trial at `point` (4,); 0 and 1 are the ends of a quantity's limits."""
     own = [t for t in experiment.trials if t.waveform != "recorded"]
     x = {}
     for name, (low, high), u in zip(QUANTITIES, limits, point, strict=True):
@@ -125,7 +126,7 @@ def unused_file_name(experiment: Experiment) -> str:
 
 @dataclass(frozen=True)
 class TrialSearch:
-    """Maximises `goal`, a function of the information that each of `predictions` predicts."""
+    """Search for the trial with the largest `goal`, a function of the predicted information."""
 
     predictions: Sequence[TrialInformation]
     goal: Callable[[list[list[ChannelInformation]]], float]
@@ -151,7 +152,7 @@ class TrialSearch:
         spread = qmc.Halton(4, scramble=False).fast_forward(1).random(effort.spread)
         points = [np.where(wide, u, 0.0) for u in spread]
         best, point = self._best(points, progress)
-        progress(f"best of {effort.spread} trials: {trial_text(best.trial)}")
+        progress(f"best of {effort.spread} evenly spread trials: {trial_text(best.trial)}")
         step = 0.25
         for _ in range(effort.rounds):
             moves = [s * step * np.eye(4)[i] for i in np.flatnonzero(wide) for s in (-1.0, 1.0)]
@@ -161,13 +162,13 @@ class TrialSearch:
             better, there = self._best([np.array(x) for x in sorted(around)], progress)
             if better.value > best.value:
                 best, point = better, there
-                progress(f"better: {trial_text(best.trial)}")
+                progress(f"better trial: {trial_text(best.trial)}")
             else:
                 step *= 0.5
         if not np.isfinite(best.value):
             raise SolverError(
-                "no trial within the limits can be simulated; reduce the limits, first the "
-                "amplitude's limits"
+                "no trial within the limits can be simulated; lower the limits, first those of the "
+                "amplitude"
             )
         return best
 
@@ -196,7 +197,7 @@ def trial_text(trial: Trial) -> str:
 
 
 def trial_table(trial: Trial) -> dict[str, Any]:
-    """Returns a trial's non-default values and the four searched quantities, by key."""
+    """Returns a trial by key: its non-default values and the four quantities of the search."""
     content = trial.model_dump(exclude_defaults=True)
     return content | {name: getattr(trial, name) for name in QUANTITIES}
 

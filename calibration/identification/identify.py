@@ -45,11 +45,11 @@ class Identified(NamedTuple):
     fit: Fit
     method: str
     proposals: dict[int, Proposal]
-    """Index in `entries` of each undetermined parameter, and a trial that would determine it."""
+    """Proposed trial for each parameter that the data do not determine, by index in `entries`."""
     audit: list[Finding]
     """Faults of the data and the actions taken."""
     doubt: str
-    """Warning about a residual above the noise floor, or an empty text."""
+    """Warning that a residual exceeds the noise floor, or an empty text."""
 
 
 def check_names(effects: Sequence[str], channels: Sequence[str], method: str) -> None:

@@ -30,19 +30,19 @@ class ParameterTies(NamedTuple):
     name: str
     entries: list[Parameter]
     labels: list[str]
-    """Labels of the entries. The label contains the frequency if an entry is for one frequency."""
+    """Labels (entries,). If an entry is for one frequency, its label contains the frequency."""
     maps: tuple[Affine, ...]
-    """Map to the parameters of each trial."""
+    """Maps from the fitted vector to the parameters of a trial, one map for each trial."""
     start: np.ndarray
-    """Initial values (entries,) of a fit."""
+    """Values (entries,) at which a fit starts, in SI units."""
     group: np.ndarray
-    """Index (entries,) of the frequency for which an entry is, or -1 for all frequencies."""
+    """Index (entries,) of the frequency at which an entry is used, or -1 for all frequencies."""
     parameter: np.ndarray
     """Index (entries,) of each entry's parameter in the list of a trial's parameters."""
 
 
 def drive_frequencies(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the distinct drive frequencies [Hz], ascending, and their index for each trial.
+    """Returns the distinct drive frequencies [Hz], ascending, and each trial's frequency index.
 
     Raises `InputError` for a trial without a drive frequency.
     """
@@ -67,7 +67,7 @@ def drive_frequencies(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
 def constant_ties(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
 ) -> ParameterTies:
-    """Returns the ties with constant values: `place` (trials,) are indices of `at` [Hz]."""
+    """Returns the ties with constant values. `place` (trials,) are indices of `at` [Hz]."""
     return per_frequency_ties(entries, theta, at, place, ())._replace(name=CONSTANT)
 
 

@@ -1,11 +1,11 @@
 """Compares constant C_d and m_a with the paper's ramp and with separate values per frequency.
 
 *Ties* are a rule for how the parameters depend on the drive frequency (`parameter_ties`). Each kind
-of ties is fitted to all trials. Cross-validation then compares the kinds. For each frequency, the
-parameters are refitted to all other frequencies by one linear step. Separate values are then
-interpolated to the held-out frequency. The prediction error comes from a simulation of the held-out
-trials with these parameters. Of all ties whose prediction error is within one standard error of the
-smallest, the comparison chooses the ties with the fewest parameters.
+of ties is fitted to all trials. Cross-validation then compares the kinds. For each frequency, one
+linear step refits the parameters to the trials at all other frequencies. Separate values are then
+interpolated to the held-out frequency. A simulation of the held-out trials with these parameters
+gives the prediction error. Of all ties whose prediction error is within one standard error of the
+smallest error, the comparison chooses the ties with the fewest parameters.
 """
 
 from collections.abc import Callable, Sequence
@@ -66,18 +66,18 @@ class FrequencyComparison(NamedTuple):
 
     experiment: Experiment
     entries: list[Parameter]
-    """Parameters of one trial."""
+    """Entries of the parameter vector of one trial."""
     problem: TankProblem
     """Fitting problem with the same parameters in all trials."""
     frequencies: np.ndarray
     """Drive frequencies (frequencies,) [Hz]."""
     place: np.ndarray
-    """Index (trials,) of each trial's frequency."""
+    """Index (trials,) of each trial's frequency in `frequencies`."""
     fitted: dict[str, FittedTies]
     chosen: str | None
     """Name of the chosen ties, or None for fewer than `MIN_FREQUENCIES` frequencies."""
     proposals: dict[int, Proposal]
-    """Index of each undetermined separate value, and a trial that would determine this value."""
+    """Proposed trial for each separate value that the data do not determine, by entry index."""
 
     @property
     def used(self) -> FittedTies:
@@ -104,8 +104,8 @@ def compare_ties(
     at, place = drive_frequencies([r.trial for r in problem.records])
     if len(at) < 2:
         raise InputError(
-            f"--per-frequency: all trials are driven at {at[0]:g} Hz, allowed two or more "
-            "frequencies; omit --per-frequency, or add a trial with another frequency"
+            f"--per-frequency: all trials are driven at {at[0]:g} Hz, but two or more frequencies "
+            "are required; omit --per-frequency, or add a trial with another frequency"
         )
     white = problem.whiteners(initial.predicted)
     theta = initial.theta
@@ -142,7 +142,7 @@ def _proposals(found: FrequencyComparison, coarse: Resolution) -> dict[int, Prop
         g = int(ties.group[i])
         if g < 0 or determined(p, *confidence_interval(best, ties.entries, i)[1:]):
             continue
-        # The mean forces and the other data give different values; a new trial cannot change this.
+        # Fits with and without the mean forces differ, and no new trial can remove the difference.
         if value_by_variation(best, i) is not None:
             continue
         here = np.flatnonzero((ties.group < 0) | (ties.group == g))
@@ -207,7 +207,7 @@ def choose_ties(fitted: dict[str, FittedTies]) -> str | None:
 
 
 def tied_values(fitted: FittedTies, label: str) -> list[tuple[float, float, float, bool]]:
-    """Returns (value, low, high, determined) of each fitted `label`, with the 95 % interval."""
+    """Returns (value, low, high, determined) of every entry `label`, with the 95 % interval."""
     found = []
     for i, p in enumerate(fitted.ties.entries):
         if p.label == label:
@@ -229,7 +229,7 @@ def comparison_text(found: FrequencyComparison) -> str:
     if found.chosen is None:
         return (
             f"The comparison needs {MIN_FREQUENCIES} frequencies for cross-validation; these data "
-            f"have {len(found.frequencies)}. model.toml contains constant values."
+            f"have only {len(found.frequencies)}. model.toml contains constant values."
         )
     rest = ", ".join(
         f"{n.replace('_', ' ')} {_mean_square(x):.3g}"

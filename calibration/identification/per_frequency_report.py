@@ -23,7 +23,7 @@ from slider_jax.paper import RAMP_END, RAMP_START, force_coefficients
 
 
 def per_frequency_record(found: FrequencyComparison) -> dict[str, Any]:
-    """Returns the comparison as calibration.json contains it."""
+    """Returns the comparison in the form that calibration.json contains."""
     return {
         "said": comparison_text(found),
         "chosen": found.chosen,
@@ -45,8 +45,8 @@ def per_frequency_record(found: FrequencyComparison) -> dict[str, Any]:
             "left_out": "sum of squares of the whitened residuals at each frequency. The trials of "
             "this frequency are simulated with parameters that are fitted to all other frequencies "
             "and, if they depend on frequency, interpolated",
-            "chosen": "description with the fewest parameters whose sum of squares on held-out "
-            "frequencies is within one standard error of the smallest one",
+            "chosen": "of the descriptions whose sum of squares on held-out frequencies is within "
+            "one standard error of the smallest sum, the description with the fewest parameters",
         },
     }
 
@@ -104,8 +104,8 @@ def per_frequency_model(found: FrequencyComparison, each: Sequence[str]) -> str:
     if used.ties.name == EACH and not set(each) <= set(RAMP_PARAMETERS):
         constant = found.fitted[CONSTANT]
         comment = (
-            f"{comparison_text(found)} A model file cannot contain these parameters for each "
-            "frequency, so this file contains constant values."
+            f"{comparison_text(found)} In a model file, only C_d and m_a can depend on frequency, "
+            "so this file contains constant values."
         )
         return toml_text(model_tables(constant.ties.entries, constant.fit.theta, effects), comment)
     if used.ties.name == CONSTANT:
@@ -139,7 +139,7 @@ def coefficient_table(found: FrequencyComparison) -> list[tuple[float, float, fl
 
 
 def plot_by_frequency(found: FrequencyComparison, each: Sequence[str], path: Path) -> None:
-    """Plots the values of every parameter in `each` against drive frequency, with intervals."""
+    """Plots every parameter in `each` and its 95 % interval against drive frequency."""
     figure, axes = new_figure(1, len(each), figsize=(5.2 * len(each), 4.2), squeeze=False)
     f = found.frequencies
     fine = np.linspace(0.9 * f.min(), 1.05 * f.max(), 200)
