@@ -27,7 +27,7 @@ class SoftEllipse(NamedTuple):
 
     @property
     def mass(self) -> float:
-        """Integral of m - b over the image plane [px^2], independent of motion blur."""
+        """Integral of m - b over the image [px^2], which motion blur does not change."""
         return self.amplitude * np.pi * (1 + np.pi**2 / (3 * self.k**2)) / (self.s_xx * self.s_yy)
 
     def inside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -47,7 +47,7 @@ def initial_ellipse(center: np.ndarray, covariance: np.ndarray, mass: float) -> 
 
 
 def ellipse_model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns m (n,) at pixels (n,), and derivatives (n, 8) of m by the fields q (8,)."""
+    """Returns m (n,) at pixels (n,), and its derivatives (n, 8) by q, a `SoftEllipse`'s fields."""
     cx, cy, s_xx, s_xy, s_yy, k, amplitude, background = q
     dx, dy = x - cx, y - cy
     u, v = s_xx * dx + s_xy * dy, s_yy * dy
@@ -66,7 +66,7 @@ def ellipse_model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarr
 def fit_ellipse(
     x: np.ndarray, y: np.ndarray, values: np.ndarray, start: SoftEllipse
 ) -> tuple[SoftEllipse, float] | None:
-    """Fits an ellipse to `values` (n,) at the visible pixels by the Levenberg-Marquardt method.
+    """Fits an ellipse to the coverages `values` (n,) of pixels by the Levenberg-Marquardt method.
 
     Returns the ellipse and the centre's standard error [px], or None if the fit does not converge.
     """

@@ -19,7 +19,7 @@ from rig.recording.table import SampledColumns, StreamReader
 REST_FRAMES = 20
 """Number of frames at rest. At least one of these frames must show all markers."""
 MIN_SEEN = 0.8
-"""If the tip is found in a smaller fraction of the frames, the reader adds a finding."""
+"""Fraction of frames with the tip below which the reader reports a finding."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class MarkerLayout:
 
     markers: int
     head: tuple[float, float]
-    """Position in the image of a point beyond the head's marker [px]."""
+    """Position in the image of a point in front of the head's marker [px]."""
     gate: float | None = None
     """Largest motion of a marker between frames [px]. The default is slightly less than half of
     the smallest distance between two markers, so that markers cannot be confused."""
@@ -101,7 +101,7 @@ class MarkerCamera:
 
 
 def camera_reader(scale: Scale) -> StreamReader:
-    """Returns the reader that converts a camera's stream to tip_m [m], the tip's excursion."""
+    """Returns a function that converts a camera's stream to the column tip_m, the excursion [m]."""
 
     def read(stream: RecordedStream) -> SampledColumns:
         tracks = read_records(stream.pieces())

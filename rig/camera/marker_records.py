@@ -11,8 +11,8 @@ from rig.errors import RigError
 HEADER = struct.Struct("<IQB")
 """Header of a record: frame number, time by the source's clock [ns], number of markers."""
 POINT = np.dtype("<f4")
-"""Type of the numbers after the header: x [px], y [px] and quality of each marker, tip first. The
-numbers of a lost marker are NaN, NaN, 0."""
+"""Type of the numbers after the header. The numbers are x [px], y [px] and quality of each marker,
+in the order from tip to head. The numbers of a lost marker are NaN, NaN, 0."""
 
 
 def pack_record(number: int, source_ns: int, points: np.ndarray) -> bytes:

@@ -1,11 +1,11 @@
-"""Detection of blue markers in an image, with their centres to a fraction of a pixel.
+"""Detects blue markers in an image and computes their centres to a fraction of a pixel.
 
 Thresholds in HSV select the blue pixels. The centre of a marker is the centroid of the coverage.
-The coverage is the fraction of a pixel that the marker covers, a linear function of colour: 1 on
-the marker and 0 around the marker. Fisher's discriminant (1936) makes this function insensitive to
-variations of body, water and white light. If glare saturates pixels, an ellipse with a soft edge is
-fitted to the other pixels. A blue region is rejected if the region is cut off by the image's edge,
-too small, too long, mostly hidden by glare, or asymmetric.
+The coverage is the fraction of a pixel that the marker covers. It is a linear function of colour: 1
+on the marker and 0 around the marker. Fisher's discriminant (1936) makes this function insensitive
+to the colours of body and water, and to white light. If glare saturates pixels, an ellipse with a
+soft edge is fitted to the other pixels. A blue region is rejected if it is cut off by the image's
+edge, too small, too long, mostly hidden by glare, or asymmetric.
 """
 
 from typing import Any, NamedTuple
@@ -22,11 +22,11 @@ MIN_PIXELS = 30
 SMOOTH = (5, 5)
 """Window [px] of the moving average that smooths the background's colour."""
 WHITE, NOISE = 100.0, 2.0
-"""Rms of white light and sensor noise [counts], added to the background's colour covariance."""
+"""Assumed rms [counts] of white light and of sensor noise, added to the colour covariance."""
 
 
 class MarkerCriteria(NamedTuple):
-    """Criteria for a marker, in OpenCV's HSV: hue in steps of 2 deg, saturation, value to 255."""
+    """Criteria for a marker. Colours are OpenCV's HSV: hue in steps of 2 deg, others 0 to 255."""
 
     hue: tuple[int, int] = (102, 130)
     """Lowest and highest hue of a blue pixel."""
@@ -39,7 +39,7 @@ class MarkerCriteria(NamedTuple):
     area: tuple[float, float] = (30.0, 4000.0)
     """Smallest and largest area of the blue pixels [px^2]."""
     aspect: float = 5.0
-    """Largest ratio of the long to the short axis; motion blur lengthens a disc."""
+    """Largest ratio of the long to the short axis, above 1 because motion blur lengthens a disc."""
     seen: float = 0.3
     """Smallest fraction of the marker's area that is free of glare."""
     error: float = 0.3
@@ -58,7 +58,7 @@ class Marker(NamedTuple):
     mass: float
     """Covered area [px^2], independent of motion blur."""
     quality: float
-    """Symmetry about the centre: 1 if both sides are equal, 0 if one side is empty."""
+    """Symmetry about the centre: 1 if opposite sides are equal, 0 if one side is empty."""
 
 
 def import_opencv() -> Any:
@@ -111,7 +111,7 @@ def _measure(
     glare: np.ndarray,
     criteria: MarkerCriteria,
 ) -> Marker | None:
-    """Returns the marker with the blue pixels `own` of a patch; None if the marker is rejected."""
+    """Returns the marker with the blue pixels `own`, or None. `other`: other markers' pixels."""
     near = _dilated(cv2, own, 2)
     free = ~glare & ~_dilated(cv2, other, 4)
     around = free & ~_dilated(cv2, own, 4)
@@ -153,7 +153,7 @@ def _dilated(cv2: Any, mask: np.ndarray, pixels: int) -> np.ndarray:
 def _coverage(cv2: Any, levels: np.ndarray, own: np.ndarray, around: np.ndarray) -> np.ndarray:
     """Returns the coverage of each pixel, from the colours on the marker and around the marker.
 
-    The background is smoothed because patches of colour shift the centroid more than noise.
+    The background is smoothed, because its uneven colour shifts the centroid more than noise does.
     """
     share = cv2.blur(around.astype(np.float32), SMOOTH)[around]
     background = cv2.blur(levels * around[..., None], SMOOTH)[around] / share[:, None]
@@ -192,7 +192,7 @@ def _asymmetry(
     around: np.ndarray,
     center: np.ndarray,
 ) -> float:
-    """Returns the relative rms difference (0 to 1) of coverage and coverage turned by 180 deg."""
+    """Returns the relative rms change (0 to 1) of the coverage if it is turned by 180 deg."""
     turn = np.array([[-1, 0, 2 * center[0]], [0, -1, 2 * center[1]]])
     size, flags = coverage.shape[::-1], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     turned = cv2.warpAffine(coverage, turn, size, flags=flags)

@@ -1,4 +1,4 @@
-"""Conversion of pixels to metres, and the tip's excursion from the straight robot's axis."""
+"""Converts pixels to metres, and computes the tip's excursion from the straight robot's axis."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from rig.camera.markers import import_opencv
 from rig.errors import RigError
 
 MISFIT = 0.005
-"""Largest accepted rms misfit of a board's corners, as a fraction of the board's length."""
+"""Largest accepted rms residual of the corners in a scale's fit, as a fraction of their extent."""
 
 
 class Lens(NamedTuple):
@@ -34,7 +34,7 @@ class Scale:
     origin: tuple[float, float] = (0.0, 0.0)
     angle: float = 0.0
     from_below: bool = False
-    """Whether the camera looks up at the robot."""
+    """True if the camera is below the robot."""
     lens: Lens | None = None
 
     def metres(self, px: np.ndarray) -> np.ndarray:
@@ -94,7 +94,7 @@ def scale_of_points(
     from_below: bool = False,
     lens: Lens | None = None,
 ) -> Scale:
-    """Returns the scale from two points [px] at a `distance` [m]. x points to the second point."""
+    """Returns the scale from two points [px] at a `distance` [m]. x points from first to second."""
     if not (np.isfinite(distance) and distance > 0):
         raise RigError.value("camera: distance of two points", f"{distance} m", "above 0 m")
     px, metres = np.array([first, second]), np.array([[0.0, 0.0], [distance, 0.0]])
@@ -165,7 +165,7 @@ def _fit(px: np.ndarray, metres: np.ndarray, from_below: bool, lens: Lens | None
     """Fits the scale that maps `metres` (n, 2) to `px` (n, 2). y of `metres` points downwards."""
     straight = undistort(px, lens)
     z, w = straight @ [1, 1j], metres @ [1, 1j]
-    # OpenCV may return a checkerboard's corners in mirrored order.
+    # Both orders of the corners are fitted, because OpenCV may mirror a checkerboard's corners.
     fits = [np.linalg.lstsq(np.stack([v, np.ones_like(v)], 1), z)[0] for v in (w, w.conj())]
     off = [np.abs(z - a * v - b) for (a, b), v in zip(fits, (w, w.conj()), strict=True)]
     misfits = [float(np.sqrt(np.mean(e**2))) for e in off]
@@ -178,7 +178,7 @@ def _fit(px: np.ndarray, metres: np.ndarray, from_below: bool, lens: Lens | None
             "camera: board",
             f"corners with an rms misfit of {misfit:.2g} px",
             f"up to {MISFIT * length:.2g} px",
-            "put the board in the robot's plane, square to the camera, or give the lens distortion",
+            "put the board in the robot's plane, do not tilt it, or give the lens distortion",
         )
     return Scale(
         float(abs(factor)),

@@ -23,7 +23,7 @@ STALLED = 5.0
 
 
 class Shot(NamedTuple):
-    """An image of a source, with the times of the image."""
+    """An image and its times."""
 
     source_ns: int
     """Time by the source's clock [ns]."""
@@ -48,7 +48,7 @@ class Source(Protocol):
     name: str
     fps: float
     live: bool
-    """True for a device, which loses images that are not read; False for a file."""
+    """True for a device, which loses images that are not read in time; False for a file."""
 
     def read(self) -> Shot | None:
         """Returns the next image, None at the end. Raises `RigError` if the source fails."""
@@ -60,7 +60,7 @@ class OpenCvSource:
     """A video file (given by a path) or a device (given by an index), read by OpenCV.
 
     The host time of a file's frame is the time of opening plus the frame's time in the file. `fps`
-    [Hz] is the camera's true rate. Give `fps` if the source states another rate (slow motion).
+    [Hz] is the camera's true rate. Give `fps` if the file states a different rate (slow motion).
     Raises `RigError` if the source cannot be opened.
     """
 
@@ -123,16 +123,16 @@ class OpenCvSource:
 
 
 class Camera:
-    """A context manager whose thread reads a source. Slow processing does not delay the reading.
+    """Context manager that reads a source in a thread, so slow processing does not delay reading.
 
-    A loop `for frame in camera` ends when the source ends. The loop raises the source's errors. A
-    frame of a live source is dropped if `room` frames are already waiting.
+    A loop `for frame in camera` ends when the source ends, and raises the source's errors. A frame
+    of a live source is dropped if `room` frames are already waiting.
     """
 
     def __init__(self, source: Source, room: int = 32):
         self.source = source
         self.dropped = 0
-        """Number of frames that the source dropped, or that found the queue full."""
+        """Number of frames that the source dropped, or that were dropped by a full queue."""
         self._waiting: queue.Queue[Frame | int | BaseException] = queue.Queue(room)
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._read, name=source.name, daemon=True)
@@ -197,7 +197,7 @@ class Camera:
 
 
 def frames_between(before: int | None, now: int, fps: float) -> int:
-    """Returns the increase of the frame number between the times of two images [ns]."""
+    """Returns the difference of two images' frame numbers, from their times [ns]."""
     return 1 if before is None else max(1, round((now - before) * 1e-9 * fps))
 
 

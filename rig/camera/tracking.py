@@ -8,7 +8,7 @@ from rig.camera.markers import Marker
 from rig.errors import RigError
 
 MASS_RATIO = (0.6, 1.6)
-"""Allowed ratio of a marker's area to the first area; otherwise the marker counts as lost."""
+"""Allowed ratio of a marker's area to its first area. Otherwise, the marker counts as lost."""
 
 
 def order_at_rest(found: Sequence[Marker], count: int, head: tuple[float, float]) -> np.ndarray:
@@ -38,8 +38,8 @@ class Tracker:
     """Follows markers from their first positions `start` (markers, 2) [px].
 
     `gate` [px] is the largest motion of a marker between frames. The gate must be below half the
-    smallest distance between two markers. A found and a followed marker match if they are mutually
-    nearest within the gate. The gate of a lost marker grows with every frame up to this distance.
+    smallest distance between two markers. A found marker matches a followed marker if each is the
+    nearest to the other, within the gate. A lost marker's gate grows up to this distance.
     """
 
     def __init__(self, start: np.ndarray, gate: float):

@@ -1,7 +1,7 @@
 """Drives the gantry's axis with a GRBL 1.1 controller, and measures runs above the robot.
 
 GRBL computes the trapezoidal speed from its acceleration ($120) and from the feed (speed) of each
-command. If this computer fails, GRBL still ends the move, whose limits were checked before.
+command. If this computer fails, GRBL still completes the move. Limits are checked before a move.
 Source: https://github.com/gnea/grbl, doc/markdown (commands, interface, settings).
 """
 
@@ -19,7 +19,7 @@ from rig.manifold.serial_port import Readable, read_piece
 
 HOLD, RESET, STATUS = b"!", b"\x18", b"?"
 PAUSE = 0.05
-"""Time between two status requests [s]; GRBL allows about ten requests a second."""
+"""Longest wait of a read from the port [s], which separates the status requests in a move."""
 ARRIVED = 0.5e-3
 """Largest distance between the axis and the target at the end of a move [m]."""
 ALARMS = {
@@ -27,7 +27,7 @@ ALARMS = {
     2: "the move leaves the soft limits ($130)",
     3: "the axis was reset while moving; its position is lost",
     4: "the probe was in the wrong state before the move",
-    5: "the probe touched nothing",
+    5: "the probe made no contact",
     6: "a reset interrupted homing",
     7: "the door interrupted homing",
     8: "homing did not clear the limit switch; increase $27 or check the wires",
@@ -70,11 +70,10 @@ class GantryLimits(NamedTuple):
 class GantryAxis:
     """Context manager of the X axis of a GRBL controller on an open port.
 
-    On entry, the driver resets GRBL and reads GRBL's settings. If the position is unknown, the axis
-    moves to the home position, which is the origin. With `homed=False` (no limit switches), the
-    axis is only unlocked, and the position on entry is the origin. At the end or after an error,
-    the axis slows down (feed hold) and GRBL is reset. Raises `RigError` for GRBL's errors and for a
-    lost port.
+    On entry, the driver resets GRBL and reads GRBL's settings. If GRBL is locked, the axis moves to
+    the home position, which is the origin. With `homed=False` (no limit switches), the axis is only
+    unlocked, and the position on entry is the origin. At the end or after an error, the axis slows
+    down (feed hold) and GRBL is reset. Raises `RigError` for GRBL's errors and for a lost port.
     """
 
     def __init__(
@@ -107,7 +106,7 @@ class GantryAxis:
                 raise
 
     def stop(self) -> None:
-        """Slows the axis down to rest and resets GRBL. Without GRBL's answer, only resets GRBL."""
+        """Slows the axis down to rest and then resets GRBL, also if GRBL does not answer."""
         deadline = self._clock() + 1.0 + self.limits.speed / self._acceleration()
         try:
             self._send(HOLD)
@@ -118,7 +117,7 @@ class GantryAxis:
             self._send(RESET)
 
     def profile(self, travel: float, speed: float) -> MotionProfile:
-        """Returns the profile of a move over `travel` [m] at `speed` [m/s], for GRBL's $120."""
+        """Returns the profile of a move over `travel` [m] at `speed` [m/s], with GRBL's $120."""
         fastest = min(self.limits.speed, self._settings[110] / 60e3)
         if not 0.0 < speed <= fastest:
             advice = "the limit is the lower of the lab's limit and GRBL's $110"
@@ -132,7 +131,7 @@ class GantryAxis:
         return self._status()[1] - self._origin
 
     def move(self, profile: MotionProfile, back: bool = False) -> float:
-        """Moves the axis, waits for the end of the move, and returns the start time [s]."""
+        """Moves the axis, waits for the end of the move, and returns the host's start time [s]."""
         profile = self.profile(profile.travel, profile.speed)
         start, travel = self.position(), -profile.travel if back else profile.travel
         if not self.limits.low - 1e-6 <= start + travel <= self.limits.high + 1e-6:
@@ -204,7 +203,7 @@ class GantryAxis:
         return self._until(lambda answer: answer == "ok", patience, line)[:-1]
 
     def _until(self, wanted: Callable[[str], bool], patience: float, asked: str = "") -> list[str]:
-        """Returns the lines up to the first wanted line. Raises `RigError` for error or alarm."""
+        """Returns the lines up to the first wanted line. Raises `RigError` for GRBL's errors."""
         deadline, lines, late = self._clock() + patience, list[str](), False
         while not late:
             late = self._clock() >= deadline  # bytes that arrived before the deadline still count
@@ -244,8 +243,8 @@ def _raise_refusal(text: str, asked: str) -> None:
 
 def _port_lost(error: OSError) -> RigError:
     return RigError(
-        f"gantry: the port is gone ({error}); the axis still ends the last move; use the emergency "
-        "stop if necessary, then plug in the cable and home the axis"
+        f"gantry: the port is gone ({error}); the axis still completes the last move; use the "
+        "emergency stop if necessary, then plug in the cable and home the axis"
     )
 
 
@@ -256,9 +255,9 @@ def gantry_measurement(
     settle: float,
     stride: float,
 ) -> Callable[[float], GantryPass | None]:
-    """Returns the function `measure` of `find_swimming_speed`: a run over `travel` [m], and back.
+    """Returns the argument `measure` of `find_swimming_speed`: a run over `travel` [m], and back.
 
-    `film` starts robot and camera, and calls the function that it gets, which moves the gantry.
+    `film` starts robot and camera, and then calls its argument, a function that moves the gantry.
     `film` returns the marker's track: times on the axis' clock [s], and positions ahead of the
     camera [m], NaN if the marker is lost. Frames of the first `settle` [s] are ignored. `stride` is
     the period of a stride [s].

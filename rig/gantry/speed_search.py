@@ -2,9 +2,9 @@
 
 The search applies Newton's method to the drift, which is the displacement of the robot in the image
 divided by the cruise time. Drift and displacement are zero at the same speed. The drift is almost
-linear in the gantry's speed. The displacement is not, because faster runs take less time. The slope
-is the slope of a least-squares line through the last runs. Noise and distance from the zero
-determine the weight of a run.
+linear in the gantry's speed. The displacement is less linear, because faster runs take less time.
+The slope of the drift is that of a least-squares line through the last runs. The weight of a run
+depends on the noise and on the run's distance from the zero.
 """
 
 from collections.abc import Callable
@@ -18,25 +18,25 @@ import numpy as np
 from rig.errors import RigError
 
 MIN_STRIDES = 2.0
-"""Shortest track of a valid run, without a gap, in strides."""
+"""Shortest duration of a valid run's track without a gap, in strides."""
 FITTED_SPEEDS = 4
-"""Number of the last speeds whose runs determine the slope."""
+"""The slope is fitted to the runs at this number of most recent speeds."""
 CURVATURE = 0.1
-"""Assumed error of the straight line, as a fraction of the distance between a run and the zero."""
+"""Assumed error of the line at a run, as a fraction of the distance between run and zero."""
 FREE_SLOPE = (-1.0, 0.5)
 """Prior of the drift's slope: mean (for a robot without tether forces) and standard deviation."""
 FLATTEST = -0.2
-"""Upper bound of the slope, which limits a step if the drift hardly changes or rises by chance."""
+"""Upper bound of the drift's slope, which limits the change of speed if noise hides the slope."""
 STUDENT = (1.96, 12.7, 4.3, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
-"""Half widths of Student's 95 % interval in standard deviations, for 1, 2, ... repeats. The first
-value applies to a known standard deviation, and to more repeats than the table contains."""
+"""Half widths of Student's 95 % interval, in standard deviations. Element i is for i repeats.
+Element 0 is for a known standard deviation, and for more than nine repeats."""
 
 
 class GantryPass(NamedTuple):
     """One run of the gantry at a constant speed."""
 
     displacement_m: float
-    """Displacement of the robot relative to the camera, positive ahead; NaN for a lost marker."""
+    """Displacement of the robot relative to the camera [m], positive ahead; NaN: marker lost."""
     cruise_time_s: float
     """Time in which the displacement was measured [s]."""
     frames: int
@@ -48,7 +48,7 @@ class StopReason(Enum):
     """Reason for the end of a search."""
 
     CONVERGED = "the predicted change of speed is within the tolerance"
-    NOISE = "the displacement is within the noise of repeated runs, which exceeds the tolerance"
+    NOISE = "the displacement is within the repeated runs' noise, and this noise is above tolerance"
     LOST = "the camera lost the marker twice at one speed; check the light, or change the speed"
     LIMIT = (
         "the displacement has no zero within the limits of speed; "
@@ -64,9 +64,9 @@ class SpeedSearchResult:
     | field | unit | meaning |
     |---|---|---|
     | `speed` | m/s | zero of the fitted drift; NaN if no run showed the marker |
-    | `uncertainty` | m/s | half the 95 % interval, for the larger of `noise` and tolerance |
+    | `uncertainty` | m/s | half width of the 95 % interval, for the larger of noise and tolerance |
     | `noise` | m | standard deviation of repeated displacements; 0 without repeats |
-    | `history` | | speed [m/s] and run (None if lost), in the order of the runs |
+    | `history` | | speed [m/s] and run (None: marker lost), in the order of the runs |
     """
 
     speed: float
@@ -167,7 +167,7 @@ def _check(first, limits, tolerance_px, scale, budget, second) -> None:
 
 
 def _noise(runs: list[tuple[float, GantryPass]]) -> tuple[float, int]:
-    """Returns the pooled standard deviation [m] of repeated displacements, and the repeats."""
+    """Returns the pooled standard deviation [m] of repeated runs, and the number of repeats."""
     groups = [[r.displacement_m for v, r in runs if v == speed] for speed in {v for v, _ in runs}]
     repeats = len(runs) - len(groups)
     squares = sum(len(group) * float(np.var(group)) for group in groups)
@@ -204,7 +204,7 @@ def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: 
     """Returns `target` [m/s], or the middle of the bracket if `target` is outside the bracket.
 
     The bracket begins at the highest speed at which the robot overtook the gantry by more than
-    `clear` [m]. The bracket ends at the lowest speed at which the robot fell behind by more.
+    `clear` [m]. It ends at the lowest speed at which the robot fell behind by more than `clear`.
     """
     slower = max((v for v, run in runs if run.displacement_m > clear), default=-inf)
     faster = min((v for v, run in runs if run.displacement_m < -clear), default=inf)
@@ -216,10 +216,10 @@ def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: 
 def fit_drift(t, x, start: float, end: float, stride: float) -> GantryPass | None:
     """Returns the run with the marker at x [m] ahead of the camera at times t [s] (frames,).
 
-    Only frames from `start` to `end` [s] count, until the marker is lost for half a `stride` [s],
-    because a robot much faster or slower than the gantry leaves the image. A straight line and the
-    first two harmonics of the stride are fitted. The drift is the slope of this line. Returns None
-    for a track shorter than `MIN_STRIDES`.
+    Only frames from `start` to `end` [s] are used. The track ends if the marker is lost for half a
+    `stride` [s], because a robot much faster or slower than the gantry leaves the image. A straight
+    line and the first two harmonics of the stride are fitted. The drift is the slope of this line.
+    Returns None for a track shorter than `MIN_STRIDES`.
     """
     t, x = np.asarray(t, float), np.asarray(x, float)
     cruise = (t >= start) & (t <= end)

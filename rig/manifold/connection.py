@@ -13,14 +13,15 @@ from rig.recording.clock import Sink, host_ns
 
 VENTS = "the manifold vents by itself 0.1 s after the last command"
 MAX_DAMAGED = 1e-3
-"""If a larger fraction of the frames is damaged, errors name the line as a possible cause."""
+"""Fraction of damaged frames above which errors mention the cable as a possible cause."""
 
 
 class Connection:
-    """A port, and a thread that calls `take(host time [ns], message)` for each received message.
+    """A serial port with a thread that receives messages.
 
-    This thread also calls `sink(host time [ns], bytes)` for the bytes of each read. The thread that
-    calls `write` calls `sent(host time [ns], bytes)` for each frame. An error calls `failed()`.
+    The thread calls `take(host time [ns], message)` for each message and `sink(host time [ns],
+    bytes)` for each read. `write` calls `sent(host time [ns], bytes)` for each frame. After an
+    error, `failed()` is called.
     """
 
     def __init__(
@@ -59,7 +60,7 @@ class Connection:
         self.received = self._decoder.damaged = 0
 
     def write(self, message: Message) -> None:
-        """Sends `message`. Raises `PortLost`."""
+        """Sends `message`. Raises `PortLost` if the port has disappeared."""
         frame = encode_frame(message)
         try:
             self._port.write(frame)
@@ -72,7 +73,7 @@ class Connection:
         """Ends the thread and closes the port."""
         self._ends.set()
         self._thread.join(0.5)
-        # `close` may wait long for unsent bytes. A lost port raises termios.error here.
+        # Discards unsent bytes: `close` could wait long for them. A lost port raises termios.error.
         with suppress(Exception):
             self._port.reset_output_buffer()
         self._port.close()
@@ -99,7 +100,7 @@ class Connection:
             try:
                 piece = read_piece(self._port)
             except (serial.SerialException, OSError, TypeError) as error:
-                # pyserial raises TypeError if the port was closed meanwhile.
+                # pyserial raises TypeError if another thread has closed the port.
                 if not self._ends.is_set():
                     self._gone(error)
                 return

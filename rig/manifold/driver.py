@@ -15,9 +15,9 @@ from rig.protocol import messages as wire
 from rig.recording.clock import Sink
 
 ANSWER_WAIT, TRIES = 0.08, 8
-"""Longest wait for an answer [s], below the watchdog's 0.1 s; number of tries of a command."""
+"""Longest wait for an answer [s], below the watchdog's 0.1 s; largest number of attempts."""
 MAX_SILENCE = 0.5
-"""Time without a reading, while the manifold is armed, after which the host stops the drive [s]."""
+"""If an armed manifold sends no reading for this time [s], the host stops the drive."""
 _VENT_REASONS = {
     wire.Cause.RESET: "it has reset (power, or its hardware watchdog)",
     wire.Cause.WATCHDOG: "it received no command for {detail} ms",
@@ -29,9 +29,9 @@ _VENT_REASONS = {
 class Manifold:
     """Context manager of a manifold, which vents all chambers at the end, also after an error.
 
-    The reading thread calls `sink(host time [ns], bytes)` for the bytes of each read,
-    `on_reading(host time [ns], Reading)` and `on_follows(Follows)`, in the order of arrival. The
-    commanding thread calls `sent(host time [ns], bytes)` for each sent frame.
+    The receiving thread calls `sink(host time [ns], bytes)` for the bytes of each read. It also
+    calls `on_reading(host time [ns], Reading)` and `on_follows(Follows)`, in the order of arrival.
+    The thread that sends a frame calls `sent(host time [ns], bytes)`.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Manifold:
         self.ident: wire.Ident | None = None
         self.latest: wire.Reading | None = None
         self.lost = self.duplicated = 0
-        """Numbers of missing and of repeated readings, from the readings' sequence numbers."""
+        """Numbers of missing readings and of repeated readings, from the sequence numbers."""
         self.limits = PressureLimits(0.0, 0.0, 0.0, 0.0)
         self._line = Connection(port, self._take, self._notify, sink, sent)
         self._on_reading, self._on_follows = on_reading, on_follows
@@ -95,7 +95,7 @@ class Manifold:
             )
 
     def stop_after(self, error: BaseException | None) -> None:
-        """Vents all chambers. On failure, adds a note to `error`; if `error` is None, raises."""
+        """Vents all chambers. If this fails, adds a note to `error`, or raises if it is None."""
         try:
             self.stop()
         except RigError as failure:
@@ -117,7 +117,7 @@ class Manifold:
             )
 
     def configure(self, limits: PressureLimits) -> None:
-        """Sends the limits. The manifold then vents and leaves the state FAULT."""
+        """Sends the limits. The manifold then vents and changes to the state READY."""
         assert self.ident is not None
         self.limits = limits.within(self.ident)
         # The new limits clear an earlier fault, such as a reset.
@@ -142,7 +142,7 @@ class Manifold:
         self._send(wire.Heartbeat)
 
     def stop(self) -> None:
-        """Vents all chambers. Raises `RigError` if the manifold does not confirm this."""
+        """Vents all chambers. Raises `RigError` if the manifold does not confirm the command."""
         self._armed = False
         self._request(wire.Stop)
 
@@ -163,7 +163,7 @@ class Manifold:
             self._request(partial(_wave_piece, first, flat))
 
     def play(self, repeats: int = 1) -> None:
-        """Plays the waveform `repeats` times, or without end for 0. Needs regular heartbeats."""
+        """Plays the waveform `repeats` times (0: until `stop`). The caller sends heartbeats."""
         self._request(lambda seq: wire.WavePlay(seq, repeats))
 
     def _send(self, make: Callable[[int], wire.Message]) -> int:
@@ -181,21 +181,21 @@ class Manifold:
         return isinstance(self._line.failure, PortLost)
 
     def _request(self, make: Callable[[int], wire.Message]) -> None:
-        """Sends a command and waits for the answer. Without an answer, sends the command again."""
+        """Sends a command, and sends it again if no answer arrives."""
         for tried in range(TRIES):
             if self._is_gone:
                 self.check()
             seq = self._send(make)
             ack = self._wait_for_ack(seq)
             if ack is not None:
-                # The manifold obeyed the previous try, but the answer was lost.
+                # If the answer to an accepted `Arm` was lost, the manifold refuses the next `Arm`.
                 obeyed = tried and make is wire.Arm and ack.answer == wire.Answer.WRONG_STATE
                 if not (obeyed and self.latest and self.latest.state == wire.ManifoldState.ARMED):
                     self._raise_refusal(make(seq), ack)
                 return
         self.check()
         name = type(make(0)).__name__
-        raise RigError(f"{self._line.name}: no answer to {TRIES} tries of {name}; {VENTS}")
+        raise RigError(f"{self._line.name}: {name} was sent {TRIES} times without answer; {VENTS}")
 
     def _wait_for_ack(self, seq: int) -> wire.Ack | None:
         with self._changed:
@@ -238,7 +238,7 @@ class Manifold:
                     wire.ManifoldState.ARMED,
                     wire.ManifoldState.PLAYING,
                 ):
-                    self._set_own_vent("its readings show it, but the reason was lost on the line")
+                    self._set_own_vent("its readings show this; the cause was not received")
                 if self._on_reading is not None:
                     self._on_reading(now, message)
             case wire.Follows() if self.ident is not None and self._on_follows is not None:

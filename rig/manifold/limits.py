@@ -8,11 +8,11 @@ from rig.errors import RigError
 from rig.protocol.messages import CHAMBERS, Ident
 
 LARGEST_LIMIT = 2_000_000.0
-"""Highest allowed limit, a gauge pressure [Pa]. A higher limit is probably a mistake of units."""
+"""Highest gauge pressure that is allowed as a limit [Pa]. A higher value may have a wrong unit."""
 
 
 class PressureLimits(NamedTuple):
-    """Highest set gauge pressure of each chamber [Pa]."""
+    """Highest allowed set pressure of each chamber, a gauge pressure [Pa]."""
 
     front_left: float
     front_right: float
@@ -23,7 +23,7 @@ class PressureLimits(NamedTuple):
     def of(cls, pressures: Sequence[float], where: str = "limits") -> "PressureLimits":
         """Returns the limits from one pressure for all chambers, or from four pressures [Pa].
 
-        Raises `RigError` for a wrong number of pressures or a wrong value. The error names `where`.
+        Raises `RigError` for a wrong number or value of pressures. Its message starts with `where`.
         """
         if len(pressures) not in (1, 4):
             raise RigError.value(
@@ -58,7 +58,7 @@ def checked_pressures(
 ) -> tuple[int, int, int, int]:
     """Returns the set gauge pressures (4,) in whole pascals, for the protocol's messages.
 
-    Raises `RigError` for a pressure above the limit. A clipped pressure would change the gait.
+    Raises `RigError` for a pressure below 0 or above its limit. Clipping would change the gait.
     """
     if len(pressures) != len(CHAMBERS):
         raise RigError.value(

@@ -15,9 +15,9 @@ from rig.recording.clock import Sink
 FREQUENCIES = (0.1, 5.0)
 """Lowest and highest allowed frequency [Hz]. The published tests are from 0.25 to 3 Hz."""
 QUOTED, MIN_PRINTABLE = 60, 0.9
-"""Largest number of received characters that an error quotes, and smallest printable fraction."""
+"""Errors quote at most 60 received characters, and only if at least 90 % are printable."""
 MAX_START_WAIT = 5.0
-"""Longest wait for the firmware's question, and for the first row after the answer [s]."""
+"""Longest wait for the firmware's question, and for the first row after the host's answer [s]."""
 MAX_ROW_WAIT = 0.5
 """Longest wait for the next row of a test [s]."""
 QUIET = 0.05
@@ -58,13 +58,13 @@ class FrequencyOutcome(NamedTuple):
 class PublishedManifold:
     """A manifold with the published firmware, on a port from `serial_port.open_port`.
 
-    The host can send only a frequency. The firmware then commands a fixed sine, 91 to 491 counts (0
+    The host can send only a frequency. The firmware then commands a sine from 91 to 491 counts (0
     to 370 kPa). The firmware has no stop command and no watchdog: the test runs to the end, even if
-    this program, the cable or the computer fails. Closing the supply valve by hand is the only
-    stop. The published logs do not show the valves after the test. After any error in a test, this
-    class closes the port.
+    this program, the cable or the computer fails. The only way to stop the test is to close the
+    supply valve by hand. The published logs do not show the state of the valves after the test.
+    After any error in a test, this class closes the port.
 
-    `ending` are the bytes after the frequency. `clock` returns the host's time [ns].
+    `ending` is sent after the frequency. `clock` returns the host's time [ns].
     """
 
     def __init__(
@@ -88,8 +88,8 @@ class PublishedManifold:
 
         Calls `sink(host time [ns], bytes)` for all bytes of the test, and `on_row(host time [ns],
         LogRow)` after each row. Raises `RigError` for a frequency that is not allowed, a missing
-        question, another frequency in the header, and missing rows. Raises `PortLost` if the port
-        disappears.
+        question, a different frequency in the header, and if rows stop. Raises `PortLost` if the
+        port disappears.
         """
         low, high = self._frequencies
         if not low <= frequency <= high:  # also refuses NaN
@@ -105,8 +105,8 @@ class PublishedManifold:
     def _receive(self, asked: int) -> tuple[int, bytes, list[Event]]:
         """Returns (host time [ns], bytes, events) of one read that begins at `asked` [ns].
 
-        The firmware's silence is measured up to `asked`. After the read, a pause of this program
-        would count as silence of the firmware.
+        The firmware's silence is measured up to the time before the read. Otherwise, the silence
+        would include a pause of this program.
         """
         try:
             piece = read_piece(self._port)

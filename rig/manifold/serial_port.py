@@ -57,8 +57,8 @@ def open_port(name: str, baud: int = BAUD) -> serial.Serial:
 def read_piece(port: Readable) -> bytes:
     """Returns the received bytes; empty if no byte arrives within the port's timeout.
 
-    The first read waits for one byte, and the second read takes all further bytes. Without the
-    second read, each frame would be split in two, which would double the recorder's work.
+    The first read waits for one byte, and the second read returns all further bytes. Without the
+    second read, each frame would be recorded as two pieces.
     """
     piece = port.read(1)
     waiting = port.in_waiting if piece else 0

@@ -3,7 +3,7 @@
 A message is a type byte and its fields, little endian (table in docs/reference/rig_protocol.md).
 Pressures are gauge pressures in whole pascals, because an integer cannot be NaN. A frame is a
 message and its CRC-32, encoded by COBS and followed by a zero byte. zlib and Ethernet use the same
-CRC. A CRC of two instead of four bytes would accept about 15 of a million damaged frames.
+CRC. A CRC of only two bytes would accept about 15 of a million damaged frames.
 """
 
 import struct
@@ -18,9 +18,9 @@ CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
 CHANNELS = (*(f"p_{name}_Pa" for name in CHAMBERS), "p_supply_Pa", "in_1_uV", "in_2_uV", "in_3_uV")
 """Channels of a reading: gauge pressures [Pa], then three analogue inputs [uV]."""
 WATCHDOG = 0.1
-"""Time without a valid command after which the manifold vents [s]."""
+"""The manifold vents if it receives no valid command for this time [s]."""
 MAX_SAMPLES_PER_PIECE = 8
-"""Largest number of waveform samples in one message."""
+"""Largest number of waveform samples in one `WavePiece` message."""
 
 
 class ManifoldState(IntEnum):
@@ -34,48 +34,48 @@ class ManifoldState(IntEnum):
     PLAYING = 3
     """The valves follow the uploaded waveform."""
     FAULT = 4
-    """The manifold vented without a `Stop` command. `SetLimits` clears the fault."""
+    """The manifold vented because of an error (see `Cause`). `SetLimits` clears the fault."""
 
 
 class Answer(IntEnum):
-    """Result codes of `Ack`."""
+    """Codes of the field `answer` of `Ack`: result of a command."""
 
     DONE = 0
     UNKNOWN = 1
-    """The message type is unknown, or its length is wrong."""
+    """Reserved for later protocols. The manifold ignores unknown types and wrong lengths."""
     WRONG_STATE = 2
     ABOVE_LIMIT = 3
-    """A set pressure exceeds the chamber's limit; `detail` is the chamber."""
+    """A pressure exceeds the chamber's limit; `detail` is the chamber's index in `CHAMBERS`."""
     BELOW_ZERO = 4
-    """A set gauge pressure is below 0; `detail` is the chamber."""
+    """A gauge pressure is below 0; `detail` is the chamber's index in `CHAMBERS`."""
     WRONG_PLACE = 5
-    """A piece is outside the waveform, or the waveform is incomplete or too long."""
+    """Samples are outside the waveform, or the waveform is incomplete or has a wrong size."""
 
 
 class Cause(IntEnum):
-    """Codes of `Event`: reason for the event. The manifold vents at each event except PLAYED."""
+    """Codes of the field `cause` of `Event`. The manifold vents at each event except PLAYED."""
 
     RESET = 0
     """The manifold has just started."""
     STOPPED = 1
     WATCHDOG = 2
-    """No valid command came within `WATCHDOG`; `detail` is the time without a command [ms]."""
+    """No valid command came for 0.1 s; `detail` is the time without a command [ms]."""
     OVER_PRESSURE = 3
-    """A chamber's pressure exceeded 110 % of its limit + 5 kPa; `detail` is the chamber."""
+    """A chamber's pressure exceeded 110 % of its limit + 5 kPa; `detail` is the chamber's index."""
     REFUSED = 4
-    """A set pressure was outside the limits; `detail` is the chamber."""
+    """The manifold refused a set pressure or a limit; `detail` is the chamber's index."""
     PLAYED = 5
     """The waveform has ended."""
 
 
 class Hello(NamedTuple):
-    """Request for `Ident`."""
+    """Asks the manifold for `Ident`. `protocol` is the number of the host's protocol."""
 
     protocol: int
 
 
 class SetLimits(NamedTuple):
-    """Sets the highest pressure of each chamber [Pa], clears a fault, and vents. Answer: `Ack`."""
+    """Sets each chamber's highest set pressure [Pa], clears a fault, and vents. Answer: `Ack`."""
 
     seq: int
     front_left: int
@@ -113,7 +113,7 @@ class Stop(NamedTuple):
 
 
 class WaveBegin(NamedTuple):
-    """Announces a waveform of `samples` samples at intervals of `period_us`. Answer: `Ack`."""
+    """Announces a waveform of `samples` samples, one every `period_us` [us]. Answer: `Ack`."""
 
     seq: int
     samples: int
@@ -121,7 +121,7 @@ class WaveBegin(NamedTuple):
 
 
 class WavePiece(NamedTuple):
-    """Uploads samples of four pressures [Pa]; the first has the number `first`. Answer: `Ack`."""
+    """Uploads samples of 4 pressures [Pa]. `first` is the first sample's index. Answer: `Ack`."""
 
     seq: int
     first: int
@@ -129,7 +129,7 @@ class WavePiece(NamedTuple):
 
 
 class WavePlay(NamedTuple):
-    """Plays the waveform `repeats` times, or without end for 0. Needs ARMED. Answer: `Ack`."""
+    """Plays the waveform `repeats` times (0: until `Stop`), only in ARMED. Answer: `Ack`."""
 
     seq: int
     repeats: int
@@ -153,13 +153,13 @@ class Ident(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """Values of all channels at one time of the device's clock."""
+    """Values of all channels at the time `device_us` on the manifold's clock [us]."""
 
     seq: int
     device_us: int
     state: int
     command: int
-    """`seq` of the last accepted `SetPressures`."""
+    """Field `seq` of the last accepted `SetPressures`."""
     channels: tuple[int, ...]
     """(8,) values in the order of `CHANNELS`."""
 
@@ -174,7 +174,7 @@ class Ack(NamedTuple):
 
 
 class Event(NamedTuple):
-    """The manifold started, vented, or ended a waveform."""
+    """Reports that the manifold started, vented, or ended a waveform."""
 
     device_us: int
     cause: int
@@ -184,12 +184,12 @@ class Event(NamedTuple):
 class Follows(NamedTuple):
     """Set pressures [Pa] that the valves follow from now on.
 
-    The manifold sends this message when `Arm` is accepted and at each change. The drive as played
-    is computed from these messages, because commands arrive late.
+    The manifold sends this message when it accepts `Arm` and at each change. The drive as played is
+    computed from these messages, because a command arrives with a delay.
     """
 
     number: int
-    """Number of the change; a gap means lost messages."""
+    """Index of the change; a gap in these indices shows that messages were lost."""
     device_us: int
     front_left: int
     front_right: int
@@ -229,7 +229,7 @@ def type_byte(kind: type) -> int:
 
 
 def pack_message(message: Message) -> bytes:
-    """Returns type byte and fields. Raises `struct.error` if a number does not fit into a field."""
+    """Returns the message as bytes. Raises `struct.error` if a number does not fit into a field."""
     code = _CODES[type(message)]
     layout = _LAYOUTS[code][1]
     if isinstance(message, Reading):
@@ -263,7 +263,7 @@ def unpack_message(body: bytes) -> Message | None:
 
 
 LONGEST_FRAME = 192
-"""Largest number of bytes between two zero bytes. A longer run of bytes is noise."""
+"""Largest number of bytes between two zero bytes. A longer sequence counts as a damaged frame."""
 
 
 def encode_frame(message: Message) -> bytes:
@@ -285,17 +285,17 @@ def decode_frame(frame: bytes) -> Message | None:
 
 
 class FrameDecoder:
-    """Decoder of a byte stream in pieces of any size. It drops and counts damaged frames."""
+    """Decodes a stream of frames from pieces of any size. Drops and counts damaged frames."""
 
     def __init__(self, in_step: bool = True) -> None:
-        """With `in_step` False, an incomplete first frame does not count as damaged."""
+        """If `in_step` is False, the bytes up to the first zero byte are ignored."""
         self._in_step = in_step
         self.damaged = 0
-        """Number of damaged frames: bytes between two zero bytes that are not a message."""
+        """Number of damaged frames, whose bytes are not a valid message."""
         self._rest, self._noise = b"", False
 
     def feed(self, piece: bytes) -> list[Message]:
-        """Returns the messages whose last byte is in this piece."""
+        """Returns the messages that end in `piece`."""
         if not self._in_step:
             _, end, piece = piece.partition(b"\0")
             self._in_step = bool(end)

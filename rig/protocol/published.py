@@ -1,11 +1,11 @@
 """Parses the text that the published firmware (of the paper's authors) sends.
 
-The firmware asks for a frequency and waits. After the answer, the firmware runs one test and sends
-a header with one `name value` pair per line, a line of column names, one row per sample, and the
-last line `done`, which may contain the number of preceding lines. Lines end in CR, LF or CRLF.
+The firmware asks for a frequency and waits. After the answer, the firmware runs one test. It sends
+a header with one `name value` pair per line, a line of column names, and one row per sample. The
+last line is `done`, which may contain the number of preceding lines. Lines end in CR, LF or CRLF.
 Source: the public repository bvanstratum/SoftSnakePressureControl and its frequency tests of
-2022-12-21. In the logs of these tests, neither a count nor a line end follows `done`, a row may
-precede the header, and the text of the question is missing.
+2022-12-21. In the logs of these tests, `done` has no count and no line end, a row may precede the
+header, and the text of the question is missing.
 """
 
 import re
@@ -17,9 +17,9 @@ PSI_PER_COUNT = 0.13529
 PSI_AT_ZERO = -12.4282
 PA_PER_PSI = 6894.757
 LONGEST_LINE = 512
-"""Largest number of bytes without a line end. A longer run of bytes is noise."""
+"""Largest number of bytes without a line end. A longer sequence counts as one damaged line."""
 MAX_UNCONFIRMED_GAP = 50
-"""Largest gap [samples] that one row proves. After a larger gap, two successive rows are needed."""
+"""Largest step of the sample number that is accepted without confirmation by the next row."""
 
 _NUMBER = r"(\d+(?:\.\d*)?)"
 _HEADER = {
@@ -31,7 +31,7 @@ _HEADER = {
 }
 _ROW = re.compile(r"(\d{1,9}),(\d{1,3}),(\d{1,3}),(-?\d{1,5}\.\d\d),(-?\d{1,5}\.\d\d),(\d{1,4})")
 _DONE = re.compile(rb"\s*done[ \t]*(\d*)[ \t]*", re.I)
-# A line end or the next question follows `done`. After a final CR, an LF may still come.
+# A line end or the next question follows `done`. After a final CR, an LF may still arrive.
 _DONE_ENDED = re.compile(_DONE.pattern + rb"(?:\r\n|\n|\r(?=[^\n])|(?=[^\d\s]))", re.I)
 _QUESTION = re.compile(r"freq|hz", re.I)
 _END = re.compile(rb"\r\n|\r|\n")
@@ -49,7 +49,7 @@ class Question(NamedTuple):
 
 
 class Header(NamedTuple):
-    """Header of a test, with frequency [Hz] and times [s]; None for a missing or damaged line."""
+    """Header of a test: frequency [Hz], times [s]. None replaces a missing or damaged value."""
 
     frequency: float | None = None
     start: float | None = None
@@ -59,7 +59,7 @@ class Header(NamedTuple):
 
 
 class LogRow(NamedTuple):
-    """One sample: pressures, error (command - pressure) [ADC counts]; valve duties, 0 to 255."""
+    """A sample: command, command - pressure, pressure [ADC counts]; valve duties (0 to 255)."""
 
     number: int
     fill: int
@@ -89,7 +89,7 @@ Event = Question | Header | LogRow | Done
 
 
 class DialogueStage(Enum):
-    """Stage of the dialogue."""
+    """Stage of the dialogue with the firmware."""
 
     IDLE = "no test runs"
     HEADER = "the frequency was sent; rows before the header belong to an earlier test"
@@ -97,13 +97,13 @@ class DialogueStage(Enum):
 
 
 class Dialogue:
-    """Parser of the byte stream in pieces of any size. All counts belong to the current test."""
+    """Parses the firmware's bytes in pieces of any size. All counts are for the current test."""
 
     def __init__(self) -> None:
         self.unparsed = b""
         """Bytes of an unfinished line, and bytes that were received after a test's end."""
         self.last_text = ""
-        """The last line that was not a row."""
+        """Last received line that was not a row."""
         self._question = ""
         self._begin(DialogueStage.IDLE)
 
@@ -112,7 +112,7 @@ class Dialogue:
         self.lines = 0
         """Number of the test's lines, without blank lines and `done`."""
         self.rows = self.damaged = self.stale = self.lost = 0
-        """Numbers of accepted rows, damaged lines, rows of an earlier test, and missing samples."""
+        """Number of accepted rows, of damaged lines, of an earlier test's rows, of lost samples."""
         self.number = 0
         """Sample number of the last accepted row."""
         self._candidate = 0
@@ -144,7 +144,7 @@ class Dialogue:
         return events
 
     def quiet(self) -> list[Event]:
-        """Returns the event that silence completes: a question, or a `done` without a line end."""
+        """Returns a question, or a `done` without a line end. Call this method during silence."""
         if self.stage is DialogueStage.IDLE:
             text = _text(self.unparsed)
             question = text if _asks(text) else self._question
@@ -192,7 +192,7 @@ class Dialogue:
         return []
 
     def _accept(self, row: LogRow | None) -> list[Event]:
-        """Returns a valid row in the right order. Only the order shows a damaged sample number."""
+        """Returns the row if its number is plausible. A row's checksum omits the number."""
         if row is None:
             self.damaged += 1
             return []
@@ -223,6 +223,6 @@ def _row(text: str) -> LogRow | None:
         return None
     number, fill, vent, pressure = (int(match[i]) for i in (1, 2, 3, 6))
     row = LogRow(number, fill, vent, float(match[4]), float(match[5]), pressure)
-    # The firmware sends command, error and pressure, so the error serves as a checksum.
+    # The error must be the command minus the pressure, so it serves as a checksum.
     valid = abs(row.command - row.pressure - row.error) < 0.015
     return row if valid and max(fill, vent) <= 255 and pressure <= 4095 else None

@@ -1,8 +1,8 @@
 """Converts device times to the host's monotonic clock, which is common to all streams.
 
-A message arrives after a delay that varies but is never negative. In a plot against device time,
-all arrivals are therefore above the line of the device's clock. The estimate is the line below all
-arrivals with the smallest sum of distances. This line is the edge of the arrivals' lower convex
+A message arrives after a delay that varies but is never negative. In a plot of host time over
+device time, all arrivals are therefore above the line of the sending times. The estimate is the
+line below all arrivals with the smallest sum of distances: the edge of the arrivals' lower convex
 hull that spans the mean device time (Moon, Skelly and Towsley, "Estimation and removal of clock
 skew from network delay measurements", INFOCOM 1999). The smallest delay is assumed to be 0.
 """
@@ -16,13 +16,13 @@ import numpy as np
 from rig.errors import RigError
 
 MAX_DRIFT = 1e-3
-"""Largest accepted relative difference of two clock rates. A quartz clock's error is below 2e-4."""
+"""Largest accepted relative difference of the clocks' rates. A quartz's error is below 2e-4."""
 PIECE = 60.0
 """Duration in which a clock's rate is assumed to be constant [s]."""
 _SHORT = 10.0
-"""Shortest record that determines the clock's rate in spite of the scatter of the delays [s]."""
+"""Duration of a record below which the variation of the delays hides the clock's rate [s]."""
 _BLOCK = 0.5
-"""The on-line fit keeps one arrival for each interval of this duration [s]."""
+"""`RunningClock` keeps one message for each interval of this duration [s]."""
 MAX_MEDIAN_DELAY = 0.5
 """Largest median delay of samples [s]. A larger delay shows that the sensor's rate is wrong."""
 
@@ -48,11 +48,11 @@ class ClockFit(NamedTuple):
     late_99: float
     """99th percentile of the delay [s]."""
     early_max: float
-    """Largest time of an arrival before the fit [s]; above 0 if the rate changes within `PIECE`."""
+    """Largest time by which an arrival precedes the fit [s]; above 0 if the rate varies."""
 
     @property
     def rate(self) -> float:
-        """Host seconds per device second, mean of the whole record."""
+        """Mean rate over the whole record: host seconds per device second."""
         return float((self.host_s[-1] - self.host_s[0]) / (self.device_s[-1] - self.device_s[0]))
 
     def to_host(self, device_s: np.ndarray | float) -> np.ndarray:
@@ -84,8 +84,8 @@ def fit_clock(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
     length = x[-1] - x[0]
     if length >= _SHORT and abs(_line_below(x, y).drift) >= MAX_DRIFT:
         raise RigError(
-            f"clock: {length:g} s of the device take {y[-1] - y[0]:g} s of the host; allowed is "
-            f"a difference of {1e6 * MAX_DRIFT:g} ppm; give both times in seconds, from one run"
+            f"clock: device time advances by {length:g} s and host time by {y[-1] - y[0]:g} s; the "
+            f"rates may differ by {1e6 * MAX_DRIFT:g} ppm; give times of the same run in seconds"
         )
     pieces = max(1, min(round(length / PIECE), x.size // 2))
     pairs = zip(np.array_split(x, pieces), np.array_split(y, pieces), strict=True)
@@ -108,11 +108,11 @@ def fit_clock(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
 
 
 class RunningClock:
-    """Performs `fit_clock` on-line for the last `PIECE` seconds, with bounded memory and time."""
+    """Updates a fit of the last `PIECE` seconds with each message, in bounded memory and time."""
 
     def __init__(self) -> None:
         self.resets = 0
-        """Number of device restarts. At a restart, device time decreases; the fit starts again."""
+        """Number of device restarts. After a restart, the fit uses only new messages."""
         self._blocks: dict[int, tuple[float, float]] = {}
         self._last = -np.inf
         self._line: _Line | None = None
@@ -131,7 +131,7 @@ class RunningClock:
                 del self._blocks[oldest]
 
     def to_host(self, device_s: np.ndarray | float) -> np.ndarray:
-        """Returns the host times [s] of device times [s]. Raises `RigError` before any `add`."""
+        """Returns host times [s] of device times [s]. Raises `RigError` if `add` was not called."""
         if not self._blocks:
             raise RigError("clock: no message has arrived yet; add a pair of times first")
         if self._line is None:
@@ -149,8 +149,8 @@ def split_at_restarts(device_s: np.ndarray) -> list[slice]:
 def unwrap_counter(counts: np.ndarray, modulus: int) -> np.ndarray:
     """Returns the counts (n,) of a counter that restarts from 0 at `modulus`, unwrapped (int64).
 
-    A step larger than half the modulus is a wrap. A smaller backward step is kept: a packet arrived
-    out of order, or the device restarted.
+    A step larger than half the modulus counts as such a restart. A smaller backward step is kept:
+    a packet arrived out of order, or the device restarted.
     """
     counts = np.asarray(counts).astype(np.int64)
     half = modulus // 2
@@ -163,7 +163,7 @@ def host_sample_times(
 ) -> np.ndarray:
     """Returns the host times [ns] (int64) of the samples with the numbers `at`.
 
-    `number` (n,) are the increasing numbers of the samples that arrived at `arrived_ns` (n,).
+    `number` (n,) contains the increasing numbers of the samples that arrived at `arrived_ns` (n,).
     `rate` is the sensor's sampling rate [Hz], exact up to the tolerance of the sensor's quartz.
     Raises `RigError` if the samples did not arrive at this rate.
     """
@@ -195,10 +195,10 @@ class _Line(NamedTuple):
 def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
     """Returns the line below all points with the highest mean and a drift of at most `MAX_DRIFT`.
 
-    For a given drift, the highest line below the points touches one point. The mean of this line
-    is a concave function of the drift. The line with the highest mean touches two points: one
-    before and one after the mean time. The loop searches for these two points. If the lines of all
-    drifts touch the same point, the drift is 0.
+    x (n,) and y (n,) are device and host times [s]. For a given drift, the highest line below the
+    points touches one point. The mean of this line is a concave function of the drift. The best
+    line touches two points: one before and one after the mean time. The loop searches for these
+    points. If a short record's lines of all drifts touch the same point, the drift is 0.
     """
     middle = x.mean()
     u, v = x - middle, y - x

@@ -1,4 +1,4 @@
-"""Decodes the manifold's recorded streams: readings, their losses, and the time of the drive."""
+"""Decodes the manifold's recorded streams: readings, number of losses, and time of the drive."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -12,17 +12,17 @@ from rig.recording.reader import Recording
 
 
 class DecodedReadings(NamedTuple):
-    """The n distinct readings that arrived, sorted by sequence number: arrays of shape (n,)."""
+    """The n received readings without duplicates, by sequence number, as arrays of shape (n,)."""
 
     seq: np.ndarray
     """Sequence number, continued if the manifold's 32-bit counter restarts from 0."""
     host_s: np.ndarray
     """Arrival time on the host's monotonic clock [s]."""
     device_s: np.ndarray
-    """Scheduled time on the manifold's clock [s]."""
+    """Time at which the reading was due, on the manifold's clock [s]."""
     state: np.ndarray
     command: np.ndarray
-    """Sequence number of the set pressures that the manifold followed."""
+    """Number `seq` of the last `SetPressures` command that the manifold accepted."""
     channels: np.ndarray
     """(n, 8) in the order and units of `CHANNELS`."""
     lost: int
@@ -32,7 +32,7 @@ class DecodedReadings(NamedTuple):
     """Changes of the set pressures that the manifold followed, in order of arrival."""
 
     def pressures(self) -> tuple[np.ndarray, np.ndarray]:
-        """Returns signed pressures (n,) of the front and rear segment, left minus right [Pa]."""
+        """Returns signed pressures (n,) of front and rear: left minus right chamber [Pa]."""
         p = self.channels
         return p[:, 0] - p[:, 1], p[:, 2] - p[:, 3]
 
@@ -40,8 +40,8 @@ class DecodedReadings(NamedTuple):
 def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
     """Returns the readings in a stream of (host time [ns], bytes).
 
-    Bytes before the end of the first frame are not counted as damaged, because a recording may
-    start within a frame.
+    A first frame that is incomplete does not count as damaged, because a recording may start within
+    a frame.
     """
     decoder = FrameDecoder(in_step=False)
     received: list[tuple[float, Reading]] = []
@@ -83,7 +83,7 @@ class DriveSpan(NamedTuple):
 
 
 def drive_span(recording: Recording) -> DriveSpan:
-    """Returns start and duration of the drive, from the recorded commands of an interrupted run.
+    """Returns start and duration of the drive of an interrupted run, from its recorded commands.
 
     Raises `RigError` if the drive had not begun.
     """

@@ -13,7 +13,7 @@ from rig.recording.writer import CRC_OF_NOTHING, SCHEMA, open_to_read
 
 
 class RecordedStream(NamedTuple):
-    """The bytes of one stream in the received pieces. The arrays have the shape (pieces,)."""
+    """Bytes of one stream, divided into received pieces. The arrays have the shape (pieces,)."""
 
     host_ns: np.ndarray
     """Arrival time of each piece on the host's clock [ns]."""
@@ -23,7 +23,7 @@ class RecordedStream(NamedTuple):
     lost: tuple[int, int]
     """Numbers of pieces and bytes that arrived but could not be written."""
     trimmed: tuple[int, int]
-    """Numbers of incomplete pieces and of bytes at the file's end. Both are omitted."""
+    """Numbers of pieces and bytes that are omitted, because the file's end is incomplete."""
 
     def pieces(self) -> list[bytes]:
         """Returns the received pieces."""
@@ -44,7 +44,7 @@ class Recording(NamedTuple):
 
 
 def read_recording(path: Path | str) -> Recording:
-    """Returns the recording at `path`, without an incomplete end (`RecordedStream.trimmed`).
+    """Returns the recording at `path`. Omits incomplete pieces (`RecordedStream.trimmed`).
 
     Raises `RigError` if the file is missing, damaged, of a newer schema, or not a recording.
     """
@@ -66,7 +66,7 @@ def read_recording(path: Path | str) -> Recording:
         ) from None
     if schema > SCHEMA:
         raise RigError.value(
-            f"recording {path}: schema", schema, f"up to {SCHEMA}", "read it with a newer version"
+            f"recording {path}: schema", schema, f"up to {SCHEMA}", "use a newer slider-jax"
         )
     raise RigError(f"recording {path}: is an HDF5 file but not a recording; give a recording")
 

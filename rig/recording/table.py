@@ -15,11 +15,11 @@ from rig.recording.reader import RecordedStream, Recording
 ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
 """Order of the columns in a trial's file."""
 AVERAGED = 25
-"""The test for motion at rest uses means of this number of readings."""
+"""Number of readings in each mean that the test for motion before the drive uses."""
 QUIET_NOISE_RANGE = 5.0
-"""Largest range of these means that noise causes, in standard deviations of a mean."""
+"""Largest range of means of `AVERAGED` readings due to noise, in standard deviations of a mean."""
 QUIET_RANGE = 0.02
-"""Largest range of a sensor at rest, as a fraction of the sensor's range during the drive."""
+"""Largest range of a sensor before the drive, as a fraction of its range during the drive."""
 MAX_SAMPLE_GAP = 0.006
 """Longest interval between two samples of an instrument in which values are interpolated [s]."""
 
@@ -32,16 +32,16 @@ class SampledColumns(NamedTuple):
     """NaN for lost or invalid samples."""
     findings: tuple[str, ...]
     continuous: bool = True
-    """True if the instrument samples faster than the manifold. If False, only the row nearest to a
-    sample gets a value."""
+    """True if the instrument samples faster than the manifold. If False, only the table's row that
+    is nearest to a sample gets a value."""
 
 
 @dataclass(frozen=True)
 class AnalogueSensor:
-    """A sensor on an analogue input of the manifold, such as a laser that measures the tail's tip.
+    """A sensor on the analogue input `input` (1 to 3), such as a laser that measures the tip.
 
-    column = scale (voltage - zero), with `input` 1 to 3, `scale` [unit / V] and `zero` [V].
-    If `zero` is None, the mean voltage at rest before the drive is used.
+    The value of `column` is scale (voltage - zero), with `scale` [unit of the column / V] and
+    `zero` [V]. If `zero` is None, the mean voltage at rest before the drive is used.
     """
 
     column: str
@@ -56,7 +56,7 @@ class AnalogueSensor:
             raise RigError.value("analogue scale", self.scale, "a finite number except 0")
 
     def signal(self, channels: np.ndarray) -> np.ndarray:
-        """Returns values (...) for channels (..., 8). If `zero` is None, the zero is 0 V."""
+        """Returns values (...) for channels (..., 8). If `zero` is None, 0 V is subtracted."""
         volts = 1e-6 * channels[..., CHANNELS.index(f"in_{self.input}_uV")]
         return self.scale * (volts - (self.zero or 0.0))
 
@@ -75,10 +75,10 @@ class TrialColumns(NamedTuple):
     """The columns of a trial's files, and a record of the data's quality."""
 
     values: dict[str, np.ndarray]
-    """t_s, p_front_Pa, p_rear_Pa and the instruments' columns, (n,) each."""
+    """Columns t_s, p_front_Pa, p_rear_Pa and those of the instruments, each of shape (n,)."""
     played: dict[str, np.ndarray] | None
-    """t_s, set_front_Pa, set_rear_Pa: the manifold followed these signed set pressures from t_s on.
-    The last row is the trial's end. None if a change of the set pressures was not recorded."""
+    """Columns t_s, set_front_Pa, set_rear_Pa: signed set pressures that the valves followed from
+    time t_s on. The last row is the drive's end. None if a change was not recorded."""
     record: dict[str, Any]
     """Content of the trial's JSON file: losses, delays, ranges, statistics at rest, findings."""
 
@@ -90,17 +90,17 @@ def trial_columns(
     instruments: dict[str, StreamReader],
     analogue: tuple[AnalogueSensor, ...] = (),
 ) -> TrialColumns:
-    """Returns the columns from the drive's start at `begun_ns` (host time [ns]) to `duration` [s].
+    """Returns the columns for `duration` [s] from the drive's start `begun_ns` (host time [ns]).
 
     The means at rest before the drive are subtracted from forces and tip, not from pressures.
-    `instruments` maps a stream's name to the reader. Raises `RigError` for fewer than two readings.
+    `instruments` maps a stream's name to its reader. Raises `RigError` for fewer than two readings.
     """
     received = recording.streams["manifold"]
     readings = decode_readings(zip(received.host_ns.tolist(), received.pieces(), strict=True))
     if len(readings.seq) < 2:
         raise RigError(
             f"recording: {len(readings.seq)} readings of the manifold, {readings.damaged} damaged "
-            "frames; allowed 2 readings or more; check the connection with `slider rig check`"
+            "frames; at least 2 readings are needed; check the connection with `slider rig check`"
         )
     clock = fit_clock(readings.device_s, readings.host_s)
     t = clock.to_host(readings.device_s) - begun_ns * 1e-9
@@ -155,12 +155,12 @@ def _played_drive(
         return None
     sets = np.array([x[2:] for x in readings.follows], float)
     t = clock.to_host(np.array([1e-6 * x.device_us for x in readings.follows])) - begun_ns * 1e-9
-    # Later changes, in the fade after the trial, are not needed.
+    # Changes after `duration`, in the fade, are not needed.
     needed = int(np.searchsorted(t, duration)) + 1
     steps = np.diff([x.number for x in readings.follows[:needed]]) % 2**16
     if t[0] > 0.0 or (steps != 1).any():
         return None
-    # The first row is the value at t = 0, and the last row is the value at the end. If several
+    # The first row contains the set pressures at t = 0, the last row those at the end. If several
     # changes have the same time, only the last change is kept.
     before, within = np.flatnonzero(t <= 0.0)[-1], np.flatnonzero((t > 0.0) & (t < duration))
     within = within[np.append(np.diff(t[within]) > 0.0, True)[: len(within)]]
@@ -171,7 +171,7 @@ def _played_drive(
 
 
 class RestStatistics(NamedTuple):
-    """Statistics of a sensor at rest before the drive; 0 with fewer than three readings."""
+    """Statistics of a sensor at rest before the drive. All are 0 for fewer than three readings."""
 
     mean: float = 0.0
     deviation: float = 0.0
@@ -191,7 +191,7 @@ def _rest(signal: np.ndarray) -> RestStatistics:
 def _motion_findings(
     column: str, quiet: np.ndarray, drive: np.ndarray, noise: float
 ) -> tuple[str, ...]:
-    """Returns a finding if a sensor moved before the drive, otherwise an empty tuple."""
+    """Returns a finding if a sensor was not at rest before the drive, otherwise an empty tuple."""
     pieces = np.array_split(quiet, max(1, len(quiet) // AVERAGED))
     before = float(np.ptp([x.mean() for x in pieces if x.size] or [0.0]))
     over = float(np.ptp(drive))
@@ -206,9 +206,9 @@ def _motion_findings(
 def resample_at_rows(
     rows: np.ndarray, at: np.ndarray, signal: np.ndarray, continuous: bool = True
 ) -> np.ndarray:
-    """Returns a signal (m,) with the sampling times `at` (m,) [s], at the times `rows` (n,) [s].
+    """Returns the values (n,) at times `rows` (n,) [s] of a `signal` (m,) sampled at `at` (m,) [s].
 
-    A row without a sample nearby gets NaN. `continuous` is defined in `SampledColumns`.
+    Rows without a nearby sample are NaN. `continuous` is defined in `SampledColumns`.
     """
     valid = np.isfinite(signal)
     if valid.sum() < 2:
@@ -237,7 +237,7 @@ def _manifold_findings(readings: DecodedReadings, clock: ClockFit) -> tuple[str,
         findings.append(f"{readings.damaged} damaged frames of the manifold were dropped")
     if clock.early_max > 1e-3:
         findings.append(
-            f"the manifold's clock is irregular: a reading is {1e3 * clock.early_max:.1f} ms early"
+            f"the manifold's clock is irregular, with deviations of {1e3 * clock.early_max:.1f} ms"
         )
     return tuple(findings)
 
@@ -252,7 +252,7 @@ def _quality_record(
 ) -> dict[str, Any]:
     unwritten = {name: x.lost[0] for name, x in recording.streams.items() if x.lost[0]}
     if unwritten:
-        findings += (f"the disk was too slow; numbers of lost pieces, by stream: {unwritten}",)
+        findings += (f"the disk was too slow; lost pieces of data in each stream: {unwritten}",)
     return {
         "readings": len(readings.seq),
         "rows": len(values["t_s"]),

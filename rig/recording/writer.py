@@ -48,8 +48,8 @@ MAX_WAITING = 64 * 2**20
 CRC_OF_NOTHING = 1
 """Initial value of the CRC. With 0, an index that contains only zeros would be valid."""
 _BYTES_A_CHUNK, _ROWS_A_CHUNK = 16384, 512
-"""HDF5 chunk sizes in bytes and rows, for at least 0.25 s of the manifold's data. To rewrite the
-last chunk is faster than to create a chunk. With 4096 and 64, each write created a chunk."""
+"""Chunk sizes of the datasets `bytes` and `index`. A chunk contains at least 0.25 s of the
+manifold's data, because HDF5 extends an existing chunk faster than it creates a chunk."""
 _ATTEMPTS = 27
 """Number of HDF5's attempts to read metadata that a writer may be changing. The wait doubles after
 each attempt, to 0.1 s in total. With the default of 100, an incomplete file would block readers."""
@@ -61,7 +61,7 @@ class RecorderLoad(NamedTuple):
     recorded: dict[str, int]
     """Pieces on disk, by stream."""
     lost: dict[str, int]
-    """Lost pieces, by stream. A piece is lost if too many pieces wait or the recorder has ended."""
+    """Lost pieces, by stream. A piece is lost if too many bytes wait or the recorder has ended."""
     waiting: int
     """Pieces of all streams that wait for the disk."""
     slowest_flush: float
@@ -69,7 +69,7 @@ class RecorderLoad(NamedTuple):
 
 
 class _Stream:
-    """A stream's waiting pieces and datasets. A tally is a (number of pieces, number of bytes)."""
+    """A stream's waiting pieces and datasets. A tally is a pair: number of pieces and of bytes."""
 
     def __init__(self, group: h5py.Group, max_waiting: int) -> None:
         self.bytes, self.index, self.tally = group["bytes"], group["index"], group["lost"]
@@ -205,7 +205,7 @@ class Recorder(AbstractRecorder):
         self._raise_failure()
 
     def close(self) -> None:
-        """Writes the waiting pieces and ends. Raises errors as `check`. May be repeated."""
+        """Writes the waiting pieces and ends. Raises `RigError` if the disk failed."""
         self._ending.set()
         self._thread.join()
         self.check()
@@ -244,9 +244,9 @@ class Recorder(AbstractRecorder):
 
 
 def _close_without_disk(file: h5py.File) -> None:
-    """Closes the file while HDF5's last writes are redirected to memory.
+    """Closes the file, and redirects HDF5's last writes to memory.
 
-    HDF5 cannot close a file on a failed disk, and an open file crashes the process at the end.
+    HDF5 cannot close a file on a failed disk. An open file would crash the process at its end.
     """
     with suppress(Exception):
         memory = os.memfd_create("recorder")
@@ -310,8 +310,8 @@ def _create(path: Path, streams: tuple[str, ...], settings: Mapping[str, Any]) -
     try:
         if path.exists():
             raise RigError(
-                f"recording {path}: exists already; recordings are never overwritten; give another "
-                "name"
+                f"recording {path}: exists already and is not overwritten; give another name for "
+                "the recording"
             )
         temporary.write_bytes(image.getvalue())
         os.replace(temporary, path)
@@ -325,7 +325,7 @@ def _create(path: Path, streams: tuple[str, ...], settings: Mapping[str, Any]) -
 
 
 def settings_json(path: Path | str, settings: Mapping[str, Any]) -> str:
-    """Returns `settings` as JSON. Raises `RigError` that names the recording at `path`."""
+    """Returns `settings` as JSON. Raises `RigError` with `path` if this is not possible."""
     try:
         return json.dumps(settings, allow_nan=False)
     except (TypeError, ValueError) as error:

@@ -16,24 +16,24 @@ from rig.simulated.terminal import Terminal
 
 MADE_UP = "The rig that `slider rig simulate` made up"
 LEAD_US = 5
-"""Time from the sampling of a force record to a step of the tank [us]; times are rounded."""
+"""Force records are sampled this time before a step of the tank [us], because times are rounded."""
 MAX_TANK_WAIT = 0.2
 """Longest time for which a force record waits for the tank's state [s]."""
 
 
 class HostClockedRig:
-    """A simulated rig whose device time is related to the host's clock."""
+    """A simulated rig that returns forces at times of the host's clock."""
 
     def __init__(self, rig: SimulatedRig, on_time: Callable[[float], None] = lambda seconds: None):
         self.rig, self._on_time = rig, on_time
         self._zero_ns: int | None = None
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Takes bytes from the host and returns the answer, as `Device.feed`."""
+        """Implements `Device.feed`: takes bytes from the host and returns the answer."""
         return self.rig.feed(piece, now_us)
 
     def tick(self, now_us: int) -> bytes:
-        """Advances as `Device.tick`, and calls `on_time` with the time since the start [s]."""
+        """Implements `Device.tick`, and calls `on_time` with the time since the start [s]."""
         zero = time.monotonic_ns() - 1000 * now_us
         self._zero_ns = zero if self._zero_ns is None else min(zero, self._zero_ns)
         self._on_time(1e-6 * now_us)
@@ -43,8 +43,8 @@ class HostClockedRig:
         """Returns forces [N] and torques [N m] (6,) at a host time [s]. x is thrust, y recoil."""
         zero = self._zero_ns or time.monotonic_ns()
         at = round((1e9 * host_s - zero) / 1000)
-        # A delayed tank does not yet know the present force. The record then waits, because the
-        # host detects a late record, but not a wrong force.
+        # If the tank's computation is late, the record waits for the force at its sampling time.
+        # The host can detect a late record, but not a wrong force.
         deadline = time.monotonic() + MAX_TANK_WAIT
         while self.rig.reached_us < at and time.monotonic() < deadline:
             time.sleep(2e-4)
@@ -52,10 +52,9 @@ class HostClockedRig:
         return np.array([now.thrust, now.recoil, 0.0, 0.0, 0.0, 0.0])
 
     def on_step(self, host_s: float) -> float:
-        """Returns the next host time [s] just before a step of the tank.
+        """Returns the next host time [s] that precedes a step of the tank by `LEAD_US`.
 
-        A record sampled between two steps would wait for the next step and be late. The steps
-        begin at the first tick.
+        A record that is sampled between two steps would wait for the next step and be late.
         """
         zero, reached = self._zero_ns or time.monotonic_ns(), self.rig.reached_us
         steps = ceil((1e-3 * (1e9 * host_s - zero) - reached) / STEP)
@@ -93,7 +92,7 @@ def serve_rig(
 ) -> Iterator[ServedRig]:
     """Runs the rig in threads of this process until the block ends.
 
-    `force_noise` [N] is a standard deviation. `on_time` gets the time since the start [s]."""
+    `force_noise` [N] is the forces' rms noise. `on_time` gets the time since the start [s]."""
     device, ends = HostClockedRig(rig, on_time), threading.Event()
     terminal = Terminal(device)
     sensor = SimulatedForceSensor(SimulatedForceBox(device.wrench, noise=force_noise, seed=seed))
@@ -109,7 +108,7 @@ def serve_rig(
 
 
 class ReplayDevice:
-    """A device that sends a recorded stream at the recorded times and ignores all input."""
+    """A device without input that sends a recorded stream, `speed` times as fast as recorded."""
 
     def __init__(self, stream: RecordedStream, speed: float = 1.0):
         start = int(stream.host_ns[0]) if len(stream.host_ns) else 0
@@ -118,7 +117,7 @@ class ReplayDevice:
 
     @property
     def ended(self) -> bool:
-        """Whether the whole stream is sent."""
+        """True after the device has sent the whole stream."""
         return self._next == len(self._pieces)
 
     def feed(self, piece: bytes, now_us: int) -> bytes:

@@ -1,7 +1,7 @@
 """A simulated camera above a tank, which yields images of blue markers on a moving body.
 
-The disturbances are motion blur, glare that saturates part of a marker, sensor noise, and dropped
-frames. Each is a field with the default 0. A frame depends only on the seed and the frame's number.
+The disturbances are motion blur, glare that saturates part of a marker, sensor noise, covered
+markers and dropped frames. By default, all are off. A frame depends only on seed and frame number.
 """
 
 import os
@@ -21,7 +21,7 @@ FINE = 5
 AVI_FRAMES, AVI_LENGTH = 48, 140
 """Byte offsets of the number of frames in an AVI with one stream: dwTotalFrames and dwLength."""
 MARKER, BODY = (196.0, 78.0, 26.0), (66.0, 62.0, 58.0)
-"""Colours (BGR)."""
+"""Colours of a marker and of the robot's body: blue, green, red [counts]."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Scene:
     """The scene in front of the camera, and the camera's properties.
 
     `path` returns the marker positions (k, markers, 2) [px] at times (k,) [s], in order along the
-    body. `hidden` contains the covered markers as (frame, marker).
+    body. `hidden` contains the covered markers as (frame, marker), `dropped` the missing frames.
     """
 
     path: Callable[[np.ndarray], np.ndarray]
@@ -75,7 +75,7 @@ class Scene:
 
 
 class SimulatedCamera:
-    """A `rig.camera.source.Source` of a scene. It waits for the reader and loses no frame."""
+    """A `rig.camera.source.Source` that draws the next frame of a scene when `read` is called."""
 
     live = False
 
@@ -179,7 +179,7 @@ def _patch(light: np.ndarray, positions: np.ndarray, reach: float) -> tuple[int,
 
 
 def _draw_marker(light: np.ndarray, positions: np.ndarray, radius: float) -> None:
-    """Draws a disc averaged over positions (k, 2); a pixel is the mean of its samples."""
+    """Draws a disc, averaged over positions (k, 2) [px], with `FINE`^2 samples per pixel."""
     left, top, right, bottom = _patch(light, positions, radius)
     if left >= right or top >= bottom:
         return
@@ -197,7 +197,7 @@ def _draw_marker(light: np.ndarray, positions: np.ndarray, radius: float) -> Non
 def _draw_glare(
     light: np.ndarray, center: np.ndarray, radius: float, rng: np.random.Generator
 ) -> None:
-    """Draws saturated white light on a part of a marker and beside it."""
+    """Draws saturated white light on a part of a marker and beside the marker."""
     angle, turn = rng.uniform(0, 2 * np.pi, 2)
     away = radius * rng.uniform(0.2, 1.1)
     x0, y0 = center[0] + away * np.cos(angle), center[1] + away * np.sin(angle)

@@ -1,7 +1,7 @@
-"""A simulated Net F/T box, which streams RDT over UDP in real time and can have faults.
+"""Simulates a Net F/T box, which sends RDT records over UDP in real time, with optional faults.
 
-`SimulatedForceBox` makes records. `LossyNetwork` drops, delays and duplicates records. Neither has
-a clock or a socket. `SimulatedForceSensor` sends the records over the network.
+`SimulatedForceBox` makes records. `LossyNetwork` drops, delays and duplicates records. These two
+classes use no clock and no socket. `SimulatedForceSensor` sends the records over the network.
 """
 
 import select
@@ -49,7 +49,7 @@ class LossyNetwork:
         self._held: list[tuple[int, bytes]] = []
 
     def transmit(self, datagram: bytes) -> list[bytes]:
-        """Sends a datagram and returns the datagrams that arrive, delayed by up to 8 datagrams."""
+        """Sends a datagram and returns the datagrams that arrive now. Delays: 1 to 8 datagrams."""
         out = []
         lost, late, twice = self._random.random(3) < (self.drop, self.reorder, self.duplicate)
         if lost:
@@ -68,22 +68,22 @@ class LossyNetwork:
 
 @dataclass
 class SimulatedForceBox:
-    """Makes records of a wrench. All fields except `seed` may change while the box runs."""
+    """Makes records of `wrench`. All fields except `seed` may change while the box runs."""
 
     wrench: Wrench
     rate: float = 1000.0
-    """Rate of the records [1/s]. It is rounded to 7000 divided by a whole number."""
+    """Rate of the records [1/s]. The box uses the nearest rate of the form 7000 / whole number."""
     noise: float = 2e-3
     """Standard deviation of white noise [N, N m]."""
     limit: float = 1000.0
-    """Load of an axis [N, N m] above which the transducer saturates."""
+    """Force [N] or torque [N m] on an axis above which the sensor saturates."""
     stuck: bool = False
-    """Whether the box repeats the last counts, as a stuck sensor."""
+    """If True, all records repeat the last counts, as from a stuck sensor."""
     status: int = 0
     """Status bits of every record."""
     seed: int = 0
     zero: np.ndarray = field(default_factory=lambda: np.zeros(6))
-    """Load that the box subtracts, set by `bias` [N, N m]."""
+    """Forces and torques (6,) that the box subtracts [N, N m]. The method `bias` sets them."""
 
     def __post_init__(self) -> None:
         if not 0 < self.limit <= 1000.0:  # so that biased counts also fit into 32 bits
@@ -96,11 +96,11 @@ class SimulatedForceBox:
         self.period = self.step / rdt.INTERNAL_RATE
         """Time between records by the box's own clock [s]."""
         self._random = np.random.default_rng(self.seed)
-        self._ft_seq = int(self._random.integers(2**32))  # a real box counts from power-up
+        self._ft_seq = int(self._random.integers(2**32))  # as if powered up earlier
         self._last = (0,) * 6
 
     def record(self, number: int, t: float) -> bytes:
-        """Returns record `number` (from 0, consecutive) of the stream, sampled at `t` [s]."""
+        """Returns record `number` of the stream, sampled at `t` [s]. Numbers are 0, 1, 2, ..."""
         load = np.asarray(self.wrench(t), float) + self.noise * self._random.standard_normal(6)
         status = self.status
         if np.any(np.abs(load) > self.limit):
@@ -112,7 +112,7 @@ class SimulatedForceBox:
         return rdt.RECORD.pack(number + 1, self._ft_seq, status, *self._last)
 
     def bias(self, t: float) -> None:
-        """Sets the wrench at `t` [s] as zero."""
+        """Subtracts the wrench at `t` [s] from all later records."""
         self.zero = np.clip(self.wrench(t), -self.limit, self.limit)
 
 

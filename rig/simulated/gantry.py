@@ -1,8 +1,8 @@
-"""A simulated GRBL axis in virtual time, and a robot that swims below the gantry's camera.
+"""Simulates a GRBL axis in virtual time, and a robot that swims below the gantry's camera.
 
-The axis takes bytes and the time in microseconds and returns bytes. A test or a pseudo-terminal can
-therefore drive it. The axis supports the commands of `rig.gantry.axis`: `$$`, `$H`, `$X`, `?`, `!`,
-Ctrl-X, and G1 in G21 G94.
+The axis receives bytes and the time in microseconds, and returns bytes. It can therefore run in a
+test or on a pseudo-terminal. The axis supports the commands of `rig.gantry.axis`: `$$`, `$H`, `$X`,
+`?`, `!`, Ctrl-X, and G1 in G21 G94.
 """
 
 import re
@@ -17,7 +17,7 @@ _WORD = re.compile(r"([GXF])(-?\d+(?:\.\d*)?)")
 
 
 class GrblAxis:
-    """One axis with GRBL's `settings` (in mm and minutes). With homing on, it starts locked."""
+    """One axis with GRBL's `settings` (mm, minutes). With homing on ($22=1), it starts locked."""
 
     def __init__(self, settings: dict[int, float] | None = None, position: float = 0.0) -> None:
         """`position` [m] is the carriage's position at power-up."""
@@ -29,7 +29,7 @@ class GrblAxis:
         """If True, the axis no longer answers, but continues to move."""
         self.state = "Alarm" if self.settings[22] else "Idle"
         self._pieces = [(0.0, 1e3 * position, 0.0, 0.0)]
-        """Motion from each time [s] on: position [mm], speed [mm/s], acceleration [mm/s^2]."""
+        """Pieces of the motion: start [s], position [mm], speed [mm/s], acceleration [mm/s^2]."""
         self._rest, self._feed, self._relative = b"", 0.0, False
 
     def feed(self, data: bytes, now_us: int) -> bytes:
@@ -53,7 +53,7 @@ class GrblAxis:
         return out
 
     def tick(self, now_us: int) -> bytes:
-        """Advances to `now_us` and returns the messages sent without a request."""
+        """Advances to `now_us`, and returns the messages that GRBL sends without a request."""
         if self.state == "Run":
             position = self._motion(now_us)[0]
             if self.switch_at is not None and position >= 1e3 * self.switch_at:
@@ -219,7 +219,7 @@ class Swimmer:
 
 @dataclass
 class SimulatedFilm:
-    """A camera on a `GrblAxis` above a `Swimmer`, used as `film` of `gantry_measurement`."""
+    """A camera on a `GrblAxis` above a `Swimmer`: the argument `film` of `gantry_measurement`."""
 
     axis: GrblAxis
     swimmer: Swimmer
@@ -234,16 +234,16 @@ class SimulatedFilm:
     rate: float = 60.0
     """Frame rate [1/s]."""
     blinks: float = 0.01
-    """Probability that a frame loses the marker."""
+    """Probability that the marker is lost in a frame."""
     blind: float = 0.0
-    """Probability that a whole run loses the marker."""
+    """Probability that the marker is lost in a whole run."""
     seed: int = 0
 
     def __post_init__(self):
         self.random = np.random.default_rng(self.seed)
 
     def __call__(self, move) -> tuple[np.ndarray, np.ndarray]:
-        """Calls `move()` and returns times [s] and marker positions [m], NaN where lost."""
+        """Calls `move()`. Returns times [s] and marker positions [m], NaN for a lost marker."""
         start = self.clock_us()
         move()
         t = np.arange(0.0, (self.clock_us() - start) / 1e6, 1.0 / self.rate)

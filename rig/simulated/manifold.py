@@ -33,7 +33,7 @@ class ManifoldCore:
 
     @property
     def set_pressures(self) -> Pressures | None:
-        """Set pressures (4,) [Pa] that the valves follow; None while all vent."""
+        """Set pressures (4,) [Pa] that the valves follow; None while all chambers vent."""
         return (
             self._set
             if self.state in (wire.ManifoldState.ARMED, wire.ManifoldState.PLAYING)
@@ -42,7 +42,7 @@ class ManifoldCore:
 
     @property
     def damaged(self) -> int:
-        """Number of frames that were not a command."""
+        """Number of received frames that are not a valid command."""
         return self._decoder.damaged + self._foreign
 
     def feed(self, piece: bytes, now_us: int) -> bytes:

@@ -10,14 +10,14 @@ PERIOD_US = 2_000
 MIDDLE, AMPLITUDE = 291.0, 200.0
 """Mean and amplitude of the commanded sine [counts] in all published logs."""
 ASK_US = 1_000_000
-"""Time between two questions [us]. Opening a port discards earlier questions."""
+"""Interval of the repeated question [us]. A host discards earlier questions when it connects."""
 PAUSE_US = 200_000
 """Time from the end of a test to the next question [us]."""
 TYPED_US = 1_000_000
 """A number without a line end is complete after this time [us], as for Arduino's `parseFloat`."""
 
 Script = Iterator[tuple[int, bytes]]
-"""Pieces of text, each with the time after the host's answer [us]."""
+"""Pieces of text to send, each with its time of sending after the host's answer [us]."""
 Plant = Callable[[int, int, float], float]
 """Function of fill duty, vent duty (0 to 255) and duration [s] that returns gauge pressure [Pa]."""
 
@@ -25,8 +25,8 @@ Plant = Callable[[int, int, float], float]
 class PublishedFirmware:
     """A device that repeatedly asks for a frequency and runs a test.
 
-    `test` gets the frequency [Hz] and the device's time [us], and returns the test's text. As in
-    the original firmware, input that arrives during a test answers the next question.
+    `test` is called with the frequency [Hz] and the device's time [us], and returns the text to
+    send. As in the original firmware, input that arrives during a test answers the next question.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class PublishedFirmware:
         self._start = 0
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Takes bytes from the host; the answer comes at a later tick."""
+        """Takes bytes from the host. A later call of `tick` returns the answer."""
         self._typed += piece
         self._typed_at = now_us
         return b""
@@ -73,9 +73,9 @@ class PublishedFirmware:
 
 
 def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int], Script]:
-    """Returns a test that sends an unchanged log, one row every `period_us`, or all rows for 0.
+    """Returns a test that sends an unchanged log, one row every `period_us` [us] (0: all at once).
 
-    The test ignores the frequency that the host sends. Send the frequency of the log.
+    The test ignores the frequency that the host sends, so the host should send that of the log.
     """
 
     def test(frequency: float, now_us: int) -> Script:

@@ -1,4 +1,4 @@
-"""A simulated manifold with a tank, in device time, and faults of the serial line."""
+"""Simulates a manifold with a tank in device time, including faults of the serial line."""
 
 from collections import deque
 from collections.abc import Callable
@@ -9,20 +9,20 @@ from rig.simulated.manifold import ManifoldCore
 from rig.simulated.tank import Tank, TankState
 
 SetPoint = tuple[int, ...] | None
-"""Set pressures (4,) [Pa] that the valves follow; None while all vent."""
+"""Set pressures (4,) [Pa] that the valves follow; None while all chambers vent."""
 STEP = 1_000
 """Time step of the tank and of the manifold's main loop [us]."""
 TIP_PER_VOLT = 0.1
 """Scale of the tip's sensor at the first analogue input [m/V]."""
 STALL = 20_000
-"""If this program pauses for a longer time [us], bytes that arrive in the pause act this time after
-the start of the pause. For the watchdog, these bytes arrive at the end of the pause."""
+"""After a pause of this program that is longer than this time [us], bytes that arrived meanwhile
+act at this time after the pause's start. They restart the watchdog at the end of the pause."""
 
 
 @dataclass(frozen=True)
 class LineFaults:
-    """Faults of line and sensors: fractions of flipped, dropped and inserted bytes in each
-    direction, and events at device times [s]."""
+    """Faults of line and sensors. `flipped`, `dropped` and `inserted` are fractions of the bytes in
+    each direction. Times are times since the first tick [s]."""
 
     flipped: float = 0.0
     dropped: float = 0.0
@@ -52,7 +52,7 @@ class FaultyLine:
         self._random = Random(self.faults.seed)
 
     def damage(self, piece: bytes) -> bytes:
-        """Returns the bytes that arrive when a piece is sent."""
+        """Returns the bytes that arrive if `piece` is sent."""
         faults = self.faults
         share = faults.flipped + faults.dropped + faults.inserted
         if not share or not piece:
@@ -74,7 +74,7 @@ class FaultyLine:
 class SimulatedRig:
     """A simulated manifold that exchanges bytes with the host, and the chambers of a tank.
 
-    Set pressures act from the time of arrival: each time step uses the mean set pressures.
+    Set pressures act when they arrive: each time step of the tank uses their mean in this step.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class SimulatedRig:
         return TankState((p[0], p[1], p[2], p[3]), *rest)
 
     def _mean_set(self) -> SetPoint:
-        """Returns the mean set pressures in the step that ends now. Later changes are kept."""
+        """Returns the mean set pressures in the step that ends now. Keeps later changes."""
         start, end = self._at - STEP, self._at
         times = [max(at, start) for at, _ in self._followed if at < end]
         sets = [x for at, x in self._followed if at < end]

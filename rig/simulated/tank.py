@@ -21,7 +21,7 @@ class TankState(NamedTuple):
 
 
 class Tank(Protocol):
-    """A robot in water, or a simpler model with the same signals."""
+    """Model of a robot in water, or a simpler model with the same signals."""
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
         """Returns the state after `seconds` at set gauge pressures (4,) [Pa]; None vents all."""
@@ -31,9 +31,9 @@ class Tank(Protocol):
 class BenchTank:
     """Chambers with a first-order lag, and a tail in air that follows the chambers' pressures.
 
-    This tank serves to try the rig's commands: thrust and tip depend on the set pressures. The tank
-    is not a model of swimming. `lag` and `tail` [s] are the time constants of chambers and
-    tail, `leak` [1/s] is the relative loss rate of a chamber's pressure, and `gain` [m/Pa] is the
+    This tank is for trying the rig's commands: thrust and tip depend on the set pressures, but the
+    tank is not a model of swimming. `lag` and `tail` [s] are the time constants of chambers and
+    tail. `leak` [1/s] is the relative loss rate of each chamber's pressure. `gain` [m/Pa] is the
     tip's excursion per pressure difference.
     """
 
@@ -46,7 +46,7 @@ class BenchTank:
         self._tip = 0.0
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
-        """Implements `Tank.advance`. Pressures are exact; the tail is accurate to first order."""
+        """Implements `Tank.advance`. Pressures are exact; the tip's error is of order `seconds`."""
         wanted = set_pressures or (0, 0, 0, 0)
         for i, target in enumerate(wanted):
             rate = 1.0 / self.lag + self.leak[i]
@@ -62,8 +62,8 @@ class BenchTank:
 class BenchChamber:
     """One chamber with a fill and a vent valve, as driven by the published firmware.
 
-    The flow is proportional to a valve's duty and to the pressure difference across the valve. With
-    a fully open valve, this difference decreases to 37 % in `lag` [s].
+    The flow is proportional to a valve's duty and to the pressure difference across the valve. If
+    the valve is fully open, this difference decreases to 37 % within `lag` [s].
     """
 
     def __init__(self, lag: float = 0.12, supply: float = 550e3, noise: float = 0.0, seed: int = 0):

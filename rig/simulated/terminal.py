@@ -24,7 +24,7 @@ MAX_START_TIME = 60.0
 
 
 class Device(Protocol):
-    """A device that exchanges bytes. Device time is in microseconds since power-up."""
+    """A device that exchanges bytes with the host. Times are microseconds since power-up."""
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
         """Takes bytes from the host and returns the answer."""
@@ -65,7 +65,7 @@ class Terminal:
         # The system reports POLLHUP while no program has opened the other end.
         while any(event & select.POLLHUP for _, event in listener.poll(0)):
             time.sleep(0.01)
-        with suppress(OSError):  # the host has exclusive access; the port ends with the host
+        with suppress(OSError):  # fails, without harm, if the host has exclusive access
             self._theirs = os.open(self.path, os.O_RDWR | os.O_NOCTTY)
 
     def serve(self, ended: Callable[[], bool]) -> None:
@@ -80,7 +80,7 @@ class Terminal:
                 self._write(sent + self._device.tick(now_us))
         finally:
             os.close(self._ours)
-            # This end stayed open until now, so that `_ours` could be read without a host.
+            # `_theirs` stayed open until now, so that `_ours` could be read without a host.
             if self._theirs >= 0:
                 os.close(self._theirs)
 
@@ -124,7 +124,7 @@ def serve_in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDe
 def serve_in_process(
     make: Callable[..., Device], *arguments: object, backlog: int = BACKLOG
 ) -> Iterator[ServedDevice]:
-    """Runs the device `make(*arguments)` in a separate process, which ends with this process.
+    """Runs the device `make(*arguments)` in a process that ends when this process ends.
 
     `make` must be a function or class of a module, because the new process imports it. Raises
     `RigError` if the device does not start.
@@ -159,8 +159,8 @@ def serve_in_process(
 def _serve(
     pipe: Connection, backlog: int, make: Callable[..., Device], arguments: tuple[object, ...]
 ) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program that started this one handles Ctrl-C
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles Ctrl-C
     terminal = Terminal(make(*arguments), backlog)
     pipe.send(terminal.path)
-    # The pipe becomes readable when `unplug` or the end of the other process closes its other end.
+    # The pipe becomes readable when `unplug` is called or the parent process ends.
     terminal.serve(pipe.poll)

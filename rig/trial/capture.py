@@ -113,9 +113,9 @@ def record_trial(
 ) -> RecordedTrial:
     """Records a trial to the file `path`, and returns the playback record and the recorder's load.
 
-    `instruments` maps a stream's name to the instrument. When the drive ends or an error occurs,
-    the manifold vents first. `watch` is called after each command, and 100 times per second at
-    rest, with the phase's name and the time since the phase began [s]. Raises `RigError`.
+    `instruments` maps a stream's name to the instrument. When the drive ends or fails, the manifold
+    vents before the instruments stop. `watch` is called after each command, and 100 times per
+    second at rest, with the phase's name and the time since the phase began [s]. Raises `RigError`.
     """
     trial.check(limits)
     streams = ("manifold", "commands", *instruments)

@@ -74,7 +74,7 @@ class ForceCheck(NamedTuple):
 
 
 class ReadingCollector:
-    """Collects readings and their arrival times [ns] from the reader's thread."""
+    """Collects readings and their arrival times [ns]. `Manifold` calls it in another thread."""
 
     def __init__(self) -> None:
         self.rows: list[tuple[int, Reading]] = []
@@ -95,7 +95,7 @@ def check_manifold(
     pressure: float,
     progress: Callable[[str], None] = lambda text: None,
 ) -> ManifoldCheck:
-    """Checks a configured manifold, with one chamber after another at `pressure` [Pa].
+    """Checks a configured manifold. Each chamber in turn is set to `pressure` [Pa].
 
     `collector` must be the `on_reading` function of the manifold. Raises `RigError`.
     """
@@ -123,7 +123,7 @@ def check_manifold(
         for x in held
         if x.reached < LEAST_HELD * x.asked
     ] + [
-        f"with only {x.name} pressurised, another chamber reads {1e-3 * x.others:.1f} kPa: "
+        f"while only {x.name} was pressurised, another chamber read {1e-3 * x.others:.1f} kPa: "
         "possibly swapped tubes, or a vent that does not open"
         for x in held
         if x.others > 0.2 * x.asked

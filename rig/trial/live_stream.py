@@ -14,13 +14,13 @@ from rig.recording.clock import RunningClock
 from rig.recording.table import ORDER, AnalogueSensor, resample_at_rows
 
 CHANNELS_OUT = ORDER[1:]
-"""Channels of a reading, in this order."""
+"""Channels in the rows of `LiveReadings.measured`, in this order."""
 MAX_FORCE_DELAY = 0.05
-"""Longest time for which a reading waits for a later force sample [s]."""
+"""Longest time for which `LiveStream` delays a reading to wait for a later force sample [s]."""
 MAX_KEPT = 4096
-"""Largest numbers of readings, commands and force samples in memory: 4 s of forces at 1 kHz."""
+"""Largest number each of readings, commands and force samples in memory: 4 s of forces at 1 kHz."""
 FORCE_MEMORY = 0.2
-"""Force samples that are older than the latest complete reading by this time [s] are deleted."""
+"""Force samples are deleted if they precede the latest complete reading by this time [s]."""
 Pressures = tuple[float, float, float, float]
 Item = TypeVar("Item")
 Signed = tuple[float, float]
@@ -45,7 +45,7 @@ class LiveStream:
 
     Pass the methods `reading` and `follows` to `Manifold` as callbacks. Pass the `LiveStream`
     itself to `play_drive` in place of the manifold. Readings are used only while the valves follow
-    set pressures. Only the thread that calls `take` may use the other attributes.
+    set pressures. `set`, `reading`, `follows` and `force` are thread-safe, other members are not.
     """
 
     def __init__(self, analogue: tuple[AnalogueSensor, ...] = (), has_force: bool = False):
@@ -175,7 +175,7 @@ class _Followed:
             self.change(t if self._since is None else 0.5 * (self._since + t), pressures)
 
     def mean_until(self, t: float) -> Signed:
-        """Returns the mean since the last call's `t`; the first call returns the value at `t`."""
+        """Returns the mean since the previous call's `t`; the first call returns that at `t`."""
         last = bisect_right(self._at, t) - 1
         since, self._since = self._since, t
         if since is None or not since < t:
@@ -184,7 +184,7 @@ class _Followed:
             ends = np.array([since, *(x for x in self._at if since < x <= t), t])
             held = np.array(self._sets[last + 2 - len(ends) : last + 1])
             front, rear = (np.diff(ends) @ held / (t - since)).tolist()
-        # The value at `t` and later changes are still needed.
+        # The next call needs the value at `t` and later changes.
         del self._at[:last], self._sets[:last]
         return front, rear
 

@@ -21,7 +21,7 @@ class Settable(Protocol):
 
 
 class PlaybackRecord(NamedTuple):
-    """How a drive was played."""
+    """Start time of a played drive, and lateness of its commands."""
 
     begun_ns: int
     """Host time of the drive's t = 0 [ns]."""
@@ -46,9 +46,9 @@ def play_drive(
     watch: Callable[[float], None] = lambda t: None,
     fade: float = 0.0,
 ) -> PlaybackRecord:
-    """Plays a drive immediately and returns the commands' lateness.
+    """Plays a drive immediately, and returns its start time and the commands' lateness.
 
-    `watch` is called with each command's time [s]. An exception in `watch` ends the trial. After
+    `watch` is called with each command's time [s]. An exception in `watch` ends the drive. After
     `duration` [s], the amplitude decreases to 0 within `fade` [s], as a squared cosine. An abrupt
     end would let the body swing for a minute, because quadratic drag hardly damps small motions.
     """

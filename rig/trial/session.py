@@ -1,4 +1,4 @@
-"""Runs an experiment's trials on the rig and writes a folder. A later run resumes a stopped run."""
+"""Runs an experiment's trials and writes their files. A repeated run resumes an interrupted run."""
 
 import hashlib
 import json
@@ -129,7 +129,7 @@ def write_trial(folder: Path, name: str, columns: TrialColumns) -> None:
 
 
 def start_swing(records: Sequence[dict[str, Any]]) -> float:
-    """Returns the tip's largest standard deviation before a trial, reduced by the noise [m]."""
+    """Returns the tip's largest standard deviation before a trial [m], without sensor noise."""
     squares = [
         x["at_rest_deviation"]["tip_m"] ** 2 - x["at_rest_noise"]["tip_m"] ** 2
         for x in records
@@ -146,7 +146,7 @@ def wait_for_rest(
     `before` is the previous trial's record, or None for the first trial. `watch` is called with a
     text that names the sensors that still move, and with the time since the pause began [s].
     """
-    # Discards earlier events of the manifold, such as a reset.
+    # `configure` clears the errors of earlier events, such as a reset of the manifold.
     rig.manifold.configure(rig.limits)
     begun = time.monotonic()
     ranges = before["range"] if before else ASSUMED_RANGES
@@ -185,7 +185,7 @@ def finished_record(
 
 
 def _drive(trial: PlannedTrial) -> dict[str, Any]:
-    """Returns a trial's duration and drive for the record, with checksums of a recorded drive."""
+    """Returns a trial's duration and drive for the record. Arrays are replaced by checksums."""
     plain = (str, float, int)
     drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
     for key in ("times", "recorded"):
@@ -251,7 +251,7 @@ def _trial_record(
     if columns.record["late_median_s"] > LATE_READINGS:
         findings.append(
             f"the readings' median delay was {1e3 * columns.record['late_median_s']:.0f} ms: the "
-            "computer is too busy, and the force times may be 1 to 2 ms wrong relative to pressures"
+            "computer is too busy, and the times of the forces may be wrong by 1 to 2 ms"
         )
     if recorded.load.slowest_flush > SLOW_FLUSH:
         findings.append(

@@ -11,9 +11,9 @@ from rig.protocol.messages import Reading
 from rig.recording.table import AnalogueSensor, format_value
 
 WINDOW = 2.5
-"""Duration of the readings that are tested [s]. It is long enough to detect a slow swing."""
+"""The test uses the readings of this time [s], which is long enough to detect a slow swing."""
 MAX_NOISE_RANGE = 6.0
-"""Largest range of about 50 readings that noise causes, in standard deviations of the noise."""
+"""Largest range due to noise of about 50 readings, in standard deviations of the noise."""
 MAX_REST_RANGE = 0.005
 """Largest range of a sensor at rest, as a fraction of the sensor's range in the previous trial."""
 
@@ -85,5 +85,5 @@ def sensor_noise(
     if len(seen) < 3:
         return {}
     channels = np.array(list(seen.values()), float)
-    # Unlike first differences, second differences remove a swing at 3 Hz of 100 times the noise.
+    # Second differences remove a swing at 3 Hz of 100 times the noise; first differences do not.
     return {x.column: float(np.diff(x.signal(channels), 2).std() / np.sqrt(6.0)) for x in sensors}

@@ -41,7 +41,7 @@ class SegmentDrive:
             if self.times is None or self.recorded is None:
                 raise RigError("drive: times or pressures are missing; a recorded drive needs both")
             if not (np.isfinite(self.times).all() and np.isfinite(self.recorded).all()):
-                raise RigError("drive: a time or pressure is not finite; allowed finite numbers")
+                raise RigError("drive: a time or pressure is not finite; give finite numbers")
             return
         numbers = (self.frequency, self.amplitude, self.rear_ratio, self.phase, self.rise)
         if not np.isfinite(numbers).all():

@@ -539,7 +539,7 @@ def test_the_error_for_a_lost_port_says_what_the_axis_does():
             raise serial.SerialException("device disconnected")
 
     line.trip = trip
-    with pytest.raises(RigError, match="port is gone .* still ends the last move"):
+    with pytest.raises(RigError, match="port is gone .* still completes the last move"):
         with gantry(line) as axis:
             axis.move(axis.profile(1.5, 0.3))
 

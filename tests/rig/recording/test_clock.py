@@ -133,7 +133,7 @@ def test_a_restart_of_the_device_is_refused_and_each_slice_can_be_fitted():
     ("device", "host", "message"),
     [
         (np.arange(20.0), 1.002 * np.arange(20.0), "1000 ppm"),
-        (1000.0 * np.arange(20.0), np.arange(20.0), "19000 s of the device take 19 s"),
+        (1000.0 * np.arange(20.0), np.arange(20.0), "by 19000 s and host time by 19 s"),
         ([1.0, 2.0], [1.0], r"arrays \(2,\) and \(1,\)"),
         ([], [], "n > 0"),
         ([1.0, np.nan], [1.0, 2.0], "not finite"),

@@ -336,7 +336,7 @@ def test_a_truncated_recording_gives_its_beginning_or_an_error(recorded):
 def test_a_recording_of_a_newer_schema_is_refused(recorded):
     with h5py.File(recorded, "r+") as file:
         file.attrs["schema"] = 2
-    with pytest.raises(RigError, match="schema: given 2; allowed up to 1; read it with a newer"):
+    with pytest.raises(RigError, match="schema: given 2; allowed up to 1; use a newer"):
         read_recording(recorded)
 
 
