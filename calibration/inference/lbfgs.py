@@ -44,7 +44,7 @@ def fit_lbfgs(
     progress: Callable[[str], None] = lambda text: None,
     white: dict[tuple[int, str], Whitener] | None = None,
 ) -> Fit:
-    """Returns the fit of the entries `free` of `theta`; arguments as in `fit_gauss_newton`."""
+    """Fits the parameters with the indices `free`; see `fit_gauss_newton` for the arguments."""
     bounds = Bounds.of([entries[i] for i in free])
     directions = np.eye(len(theta))[free]
     predicted = problem.predict(theta)

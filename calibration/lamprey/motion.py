@@ -145,7 +145,7 @@ def _noise_frequency(phi: np.ndarray, interval: float) -> float:
 
 
 def twicing_spline(x: np.ndarray, series: np.ndarray, cutoff: float) -> Callable[..., np.ndarray]:
-    """Returns f(at, n), the n-th derivative at `at` of `series`, smoothed with the `cutoff`."""
+    """Returns f(position, n), the n-th derivative of the smoothed `series` at the position."""
     weight = 1.0 / (np.mean(np.diff(x)) * (2.0 * math.pi * cutoff / _TWICING_RATIO) ** 4)
     first = make_smoothing_spline(x, series, lam=weight)
     second = make_smoothing_spline(x, series - first(x), lam=weight)

@@ -14,7 +14,8 @@ MASS_RATIO = (0.6, 1.6)
 def order_at_rest(found: Sequence[Marker], count: int, head: tuple[float, float]) -> np.ndarray:
     """Returns the positions (count, 2) [px] of the straight robot's markers, tip first.
 
-    `head` [px] is a point in front of the head. Raises `RigError` if not `count` markers are found.
+    `head` [px] is a point in front of the head. Raises `RigError` unless exactly `count` markers
+    are found.
     """
     if len(found) != count or count < 1:
         raise RigError.value(
@@ -39,7 +40,7 @@ class Tracker:
 
     `gate` [px] is the largest motion of a marker between frames. The gate must be below half the
     smallest distance between two markers. A found marker matches a followed marker if each is the
-    nearest to the other, within the gate. A lost marker's gate grows up to this distance.
+    nearest to the other, within the gate. A lost marker's gate grows up to the smallest distance.
     """
 
     def __init__(self, start: np.ndarray, gate: float):

@@ -59,7 +59,7 @@ class Header(NamedTuple):
 
 
 class LogRow(NamedTuple):
-    """A sample: command, command - pressure, pressure [ADC counts]; valve duties (0 to 255)."""
+    """A sample: valve duties `fill` and `vent` (0 to 255), pressures and `error` [ADC counts]."""
 
     number: int
     fill: int

@@ -15,9 +15,9 @@ from rig.recording.reader import RecordedStream, Recording
 ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
 """Order of the columns in a trial's file."""
 AVERAGED = 25
-"""Number of readings in each mean that the test for motion before the drive uses."""
+"""Number of readings per mean. The means show whether the robot moved before the drive started."""
 QUIET_NOISE_RANGE = 5.0
-"""Largest range of means of `AVERAGED` readings due to noise, in standard deviations of a mean."""
+"""Largest range of these means if the robot is at rest, in standard deviations of one mean."""
 QUIET_RANGE = 0.02
 """Largest range of a sensor before the drive, as a fraction of its range during the drive."""
 MAX_SAMPLE_GAP = 0.006
@@ -56,7 +56,7 @@ class AnalogueSensor:
             raise RigError.value("analogue scale", self.scale, "a finite number except 0")
 
     def signal(self, channels: np.ndarray) -> np.ndarray:
-        """Returns values (...) for channels (..., 8). If `zero` is None, 0 V is subtracted."""
+        """Returns values (...) for channels (..., 8), without tare if `zero` is None."""
         volts = 1e-6 * channels[..., CHANNELS.index(f"in_{self.input}_uV")]
         return self.scale * (volts - (self.zero or 0.0))
 
@@ -130,7 +130,7 @@ def trial_columns(
             + (
                 "some reports were lost"
                 if readings.follows
-                else "flash the firmware in rig/firmware"
+                else "the manifold reported none; flash the firmware in rig/firmware"
             ),
         )
     for name, read in instruments.items():

@@ -219,7 +219,7 @@ class Swimmer:
 
 @dataclass
 class SimulatedFilm:
-    """A camera on a `GrblAxis` above a `Swimmer`: the argument `film` of `gantry_measurement`."""
+    """Simulates a camera that a `GrblAxis` moves above a `Swimmer`."""
 
     axis: GrblAxis
     swimmer: Swimmer

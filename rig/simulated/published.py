@@ -1,4 +1,4 @@
-"""Simulates the published firmware's dialogue, with a replayed or simulated test."""
+"""Simulates the published firmware: its dialogue with the host, and pressure tests."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -10,7 +10,8 @@ PERIOD_US = 2_000
 MIDDLE, AMPLITUDE = 291.0, 200.0
 """Mean and amplitude of the commanded sine [counts] in all published logs."""
 ASK_US = 1_000_000
-"""Interval of the repeated question [us]. A host discards earlier questions when it connects."""
+"""Interval of the question for a frequency [us]. A host that connects discards earlier
+questions."""
 PAUSE_US = 200_000
 """Time from the end of a test to the next question [us]."""
 TYPED_US = 1_000_000

@@ -22,8 +22,8 @@ def course_coordinates(stride: Stride) -> tuple[np.ndarray, np.ndarray]:
 def zeros_wavelength(y: np.ndarray, s: np.ndarray) -> float:
     """Returns twice the mean distance [m] between neighbouring zeros of shapes y (times, points).
 
-    The mean weights each shape with the shape's mean square, because near the turning point of a
-    standing wave all points cross the axis. Returns NaN if no shape has two zeros. `s` is in m.
+    Each shape's weight is its mean square, so that nearly straight shapes, whose zeros are
+    inaccurate, have little influence. Returns NaN if no shape has two zeros. `s` is in m.
     """
     lengths, weights = [], []
     for row in y:
@@ -42,7 +42,7 @@ def without_recoil(y: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def rms_tail_slope(along: np.ndarray, across: np.ndarray) -> float:
-    """Returns the root mean square of dy/dx [-] at the tail's end over the stride."""
+    """Returns the standard deviation of dy/dx [-] at the tail's end over the stride."""
     slope = np.diff(across[:, :2])[:, 0] / np.diff(along[:, :2])[:, 0]
     return float(np.sqrt(((slope - slope.mean()) ** 2).mean()))
 

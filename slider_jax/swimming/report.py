@@ -62,7 +62,7 @@ def swim_summary(swim: Swim) -> list[str]:
     if swim.found and swim.repeats:
         off = f"{1e2 * swim.difference:+.2f} %"
         lines = [
-            f"steady speed {root} by root finding; from rest, strides repeat at {rest} after "
+            f"steady speed {root} by root finding; from rest, constant {rest} after "
             f"{count} strides (difference {off})"
         ]
     elif swim.found:
@@ -71,10 +71,7 @@ def swim_summary(swim: Swim) -> list[str]:
             f"an acceleration of {gaining}"
         ]
     elif swim.repeats:
-        lines = [
-            "root finding did not converge; from rest, strides repeat at "
-            f"{rest} after {count} strides"
-        ]
+        lines = [f"root finding did not converge; from rest, constant {rest} after {count} strides"]
     else:
         lines = [
             f"no steady speed: from rest, {rest} after {count} strides with an acceleration of "
