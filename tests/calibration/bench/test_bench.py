@@ -147,7 +147,8 @@ def test_the_tip_equals_that_of_elastica_and_arcs():
         assert elastica(0.0, (p, 0.9 * p), spans=spans)[0] == pytest.approx(y, rel=1e-6)
 
 
-@pytest.mark.parametrize("declared", [pytest.param(NOISE, marks=pytest.mark.slow), None])
+@pytest.mark.slow
+@pytest.mark.parametrize("declared", [NOISE, None])
 def test_intervals_hold_the_truth(exact, declared):
     """15 benches of 3 parameters, from an elastica with noise and a shifted ruler."""
     held = 0

@@ -41,6 +41,7 @@ def covers(outcome, name, truth):
     return low < truth < high
 
 
+@pytest.mark.slow
 def test_no_effect_is_named_if_the_model_is_complete(null):
     assert (null.verdict, null.search.effects) == ("nothing_missing", [])
     for name, value in BASE.items():
@@ -103,6 +104,7 @@ def test_the_verdict_does_not_depend_on_noise_or_order_of_the_trials(delayed, tm
         assert (other.verdict, other.search.effects) == ("identified", ["valve_delay"])
 
 
+@pytest.mark.slow
 def test_a_residual_that_no_candidate_explains_is_unexplained(tmp_path):
     outcome = close_small_tank(tmp_path / "odd", {"stiffening": {"beta": 5e-4}}, 2)
     assert outcome.verdict == "unexplained"

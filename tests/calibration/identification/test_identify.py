@@ -53,6 +53,7 @@ def test_the_intervals_contain_the_truth_also_of_an_added_effect(tank, tmp_path,
     assert "C_d" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_damaged_trials_are_repaired_and_reported(tank, tmp_path):
     for file in tank.parent.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())

@@ -115,7 +115,7 @@ def test_too_few_frequencies_choose_no_ties(monkeypatch):
     records = closed.measured(experiment, thetas, 0)
     found = compared(experiment, entries, records)
     assert found.chosen is None and found.used.ties.name == "constant"
-    assert "these data have 3." in comparison_text(found)
+    assert "these data have only 3." in comparison_text(found)
     with pytest.raises(InputError, match="--each: given 'C_D'; allowed C_d, m_a"):
         compared(experiment, entries, records, each=("C_D",))
     one = [r for r in records if r.trial.frequency == 1.0]

@@ -47,6 +47,7 @@ def swinging_tip(p, place, speed):
     return np.concatenate([[place], np.asarray(saved)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 1])
 def test_the_spans_of_the_tip_equal_the_difference_of_simulated_swings(tmp_path, which):
     _, p = planned(tmp_path)

@@ -98,6 +98,7 @@ def test_the_verdict_on_logs_of_a_lag_is_nothing_missing(tmp_path):
     assert found.interval(2)[1] < 0.12 < found.interval(2)[2]
 
 
+@pytest.mark.slow
 def test_the_rigs_logs_lack_the_firmwares_valves(data):
     """Five of the rig's logs, cut to the length of the synthetic ones to share their programs."""
     whole = [read_log(data / "manifold" / f"{f}.txt") for f in RIG_FREQUENCIES]

@@ -290,6 +290,7 @@ def test_the_error_names_a_bad_model_file_and_its_key(tmp_path, short_log, capsy
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_the_lag_does_not_explain_the_rigs_logs(data):
     logs = [read_log(path) for path in sorted((data / "manifold").glob("*.txt"))]
     found = identify_lag(logs)

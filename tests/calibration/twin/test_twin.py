@@ -81,6 +81,7 @@ def alarm_after(blocks):
     raise AssertionError("no alarm")
 
 
+@pytest.mark.slow
 def test_a_500_hz_stream_is_followed_within_50_ms(started):
     """In processor time, so that other load on the machine has no influence."""
     twin, _, blocks, spent = started
@@ -91,6 +92,7 @@ def test_a_500_hz_stream_is_followed_within_50_ms(started):
     assert span + of_a_block <= 0.05
 
 
+@pytest.mark.slow
 def test_the_intervals_of_k_and_K_Q_contain_the_true_values(started):
     """From initial errors of 8 and 5 %, with data of another mesh than the twin's."""
     last = started[2][-1]
@@ -99,6 +101,7 @@ def test_the_intervals_of_k_and_K_Q_contain_the_true_values(started):
         assert estimate.deviation <= 0.01 * initial
 
 
+@pytest.mark.slow
 def test_a_stream_without_a_fault_gives_no_alarm_and_a_residual_near_the_declared_noise(running):
     blocks = follow(*running, 2.0)
     assert all(b.watching and not b.alarm.on for b in blocks)
@@ -112,6 +115,7 @@ def test_a_stream_without_a_fault_gives_no_alarm_and_a_residual_near_the_declare
 PRESSURE, BODY = ("p_front",), ("thrust", "recoil", "tip")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "hint", "channels"),
     [
@@ -138,6 +142,7 @@ def test_a_fault_is_detected_and_named_within_2_s(running, change, hint, channel
     assert blocks[-1].k.value == pytest.approx(TRUE_K, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "channels"),
     [
@@ -161,6 +166,7 @@ def test_a_fault_from_the_start_is_reported_as_a_misfit(started, experiment, cha
         assert channel not in channels or rms > 0.0 and MAX_MISFIT[i] < share < 0.6
 
 
+@pytest.mark.slow
 def test_an_alarm_ends_after_its_cause(running):
     twin, robot = running
     robot.leak = 0.2
@@ -169,6 +175,7 @@ def test_an_alarm_ends_after_its_cause(running):
     assert not follow(twin, robot, 5.0)[-1].alarm.on
 
 
+@pytest.mark.slow
 def test_gaps_are_filled_in_and_marked_and_give_no_alarm(running):
     twin, robot = running
     rng = np.random.default_rng(1)
@@ -193,6 +200,7 @@ def test_gaps_are_filled_in_and_marked_and_give_no_alarm(running):
     assert all(np.isfinite(b.model).all() for b in blocks)
 
 
+@pytest.mark.slow
 def test_a_jump_of_the_force_clock_by_1_ms_gives_no_alarm_and_by_6_ms_does(running):
     """A jump of 1 ms occurs if the computer becomes busy."""
     twin, robot = running
@@ -209,6 +217,7 @@ def test_a_jump_of_the_force_clock_by_1_ms_gives_no_alarm_and_by_6_ms_does(runni
     assert follow(twin, robot, 2.0, late(6e-3))[-1].alarm.on
 
 
+@pytest.mark.slow
 def test_a_drive_that_stops_and_starts_again_gives_no_alarm(running):
     twin, robot = running
     for robot.drive in (0.0, 1.0, 0.5):

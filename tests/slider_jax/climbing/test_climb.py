@@ -162,6 +162,7 @@ def ordered(tmp_path_factory):
     return folder / "out"
 
 
+@pytest.mark.slow
 def test_without_pressure_the_command_says_that_it_hangs(tmp_path, capsys):
     (tmp_path / "wall.toml").write_text(to_toml(coarse(**{"trials.0.amplitude": 0.0})))
     assert main(["climb", str(tmp_path / "wall.toml"), "--out", str(tmp_path / "out")]) == 0
@@ -175,6 +176,7 @@ def test_without_pressure_the_command_says_that_it_hangs(tmp_path, capsys):
     assert row["speed_by_pin_phase_m_per_s"] is None
 
 
+@pytest.mark.slow
 def test_a_climb_counts_whole_periods():
     """Whatever stride it is looked at from: one that repeats after two gains no energy in them."""
     run = climb_wall(coarse(), pin_phase=0.875)
@@ -186,6 +188,7 @@ def test_a_climb_counts_whole_periods():
     assert float(before.speed) == pytest.approx(float(run.found.speed), rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_it_found(ordered):
     told = json.loads((ordered / "climb.json").read_text())
     (row,) = told["climbs"]

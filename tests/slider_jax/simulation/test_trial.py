@@ -334,6 +334,7 @@ def test_animation_is_written(simulated, monkeypatch):
     assert 200 < moved.sum() < 0.1 * moved.size  # the body and the cursor, not the axes
 
 
+@pytest.mark.slow
 def test_verification_case_from_the_command_line(data, tmp_path):
     """An independent program's case, to the bars that hold at this step and N_p = 51."""
     case = data / "verification" / "towed_4p8Hz"
