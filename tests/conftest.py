@@ -1,7 +1,11 @@
 """Settings of the test run, made before JAX is imported, and the fixtures that all tests share."""
 
+import fcntl
 import gc
 import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 
@@ -41,6 +45,20 @@ def pytest_sessionstart() -> None:
         raise pytest.UsageError(problem)
 
 
+def _waits(item: pytest.Item) -> bool:
+    """Whether the test mostly waits, as those of the rig do, which run in real time."""
+    return item.nodeid.startswith("tests/rig/")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Spreads the files whose tests wait evenly between the files whose tests compute."""
+    place = {}
+    for waits in (False, True):
+        files = list(dict.fromkeys(item.path for item in items if _waits(item) == waits))
+        place |= {file: (i + 0.5) / len(files) for i, file in enumerate(files)}
+    items.sort(key=lambda item: place[item.path])
+
+
 def pytest_xdist_make_scheduler(config: pytest.Config, log):
     """Gives each file to one process, and files that compile the same programs to the same one."""
     from xdist.scheduler import LoadFileScheduling
@@ -51,6 +69,41 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log):
             return "still_tank" if Path(file).name in STILL_TANK else file
 
     return Scheduler(config, log)
+
+
+@contextmanager
+def a_core() -> Iterator[None]:
+    """Waits until fewer tests compute than the machine has cores."""
+    folder = ROOT / ".pytest_cache"
+    folder.mkdir(exist_ok=True)
+    files = [(folder / f"core_{i}").open("w") for i in range(os.cpu_count() or 1)]
+    try:
+        while not any(_locked(file) for file in files):
+            time.sleep(1e-3)
+        yield
+    finally:
+        for file in files:
+            file.close()
+
+
+def _locked(file) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item):
+    """Lets a process without a core run only tests that wait.
+
+    Three processes that compile on two cores need a third more processor time than two.
+    """
+    if _waits(item):
+        return (yield)
+    with a_core():
+        return (yield)
 
 
 @pytest.hookimpl(tryfirst=True)
