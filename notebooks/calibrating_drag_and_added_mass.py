@@ -54,8 +54,8 @@ else:
 tank = experiments.load(path)
 for trial in tank.trials:
     print(
-        f"{trial.file}: {trial.frequency:g} Hz, {1e-3 * trial.amplitude:g} kPa, rear chamber "
-        f"{trial.phase:g} of a stride behind, towed at {trial.tow_speed:g} m/s"
+        f"{trial.file}: {trial.frequency:g} Hz, {1e-3 * trial.amplitude:g} kPa, phase "
+        f"{trial.phase:g}, towed at {trial.tow_speed:g} m/s"
     )
 
 # %% [markdown]

@@ -93,7 +93,7 @@ def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
         order = np.argsort(rows.t, kind="stable")
         at = float(rows.t[back[0] + 1])
         detail = (
-            f"the time decreases at {back.size} rows, first to {at:.4g} s; the rows were sorted "
+            f"the time decreases at {back.size} rows (first: {at:.4g} s); the rows were sorted "
             "by time"
         )
         findings.append(Finding(trial.file, "unsorted", "t_s", at, None, detail, "mended"))

@@ -50,7 +50,7 @@ class LoopOutcome:
     audit: list[Finding] = field(default_factory=list)
     """Faults of the data and the actions taken."""
     nearest: Fit | None = None
-    """The fit with the selected effects if the verdict does not name them, otherwise None."""
+    """The fit with selected effects that the verdict rejects; None if there are none."""
 
     @property
     def effects(self) -> list[str]:

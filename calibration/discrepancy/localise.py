@@ -55,7 +55,7 @@ def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str
     """Returns when in a trial the residual of a channel is largest.
 
     `phase` is the eighth of the drive's period with the largest mean squared residual. `share` is
-    this value divided by the sum of the eight values. `growing` is the fraction of the squared
+    this mean square divided by the sum of all eight. `growing` is the fraction of the squared
     residual at times when the predicted reading moves away from its mean. `mean` is the residual's
     mean divided by its rms. `peak_Hz` is the frequency of the sine that explains most of the
     residual after subtraction of the mean, and `peak_share` the fraction of squares it explains.
@@ -119,8 +119,8 @@ def residual_text(x: dict[str, Any]) -> str:
     if "phase" in here:
         low, high = here["phase"]
         text += f", largest at {low:.3g} to {high:.3g} of the stride"
-    text += f"; a sine of {here['peak_Hz']:.3g} Hz explains {here['peak_share']:.0%} of the square"
-    text += f"; {here['growing']:.0%} of the square while the prediction moves away from its mean"
+    text += f"; a sine of {here['peak_Hz']:.3g} Hz explains {here['peak_share']:.0%} of the squares"
+    text += f"; {here['growing']:.0%} of the squares are added while the prediction leaves its mean"
     for name, rank in x["grows_with"].items():
         if rank is not None:
             word = "grows" if rank > 0 else "falls"

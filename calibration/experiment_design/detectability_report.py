@@ -106,7 +106,9 @@ def matrix_table(m: DetectabilityMatrix) -> str:
     lines.append("")
     if m.classes:
         limit = DEFAULT_SETTINGS.parallel_cosine
-        lines.append(f"This experiment cannot discriminate between (|cos| > {limit:g}):")
+        lines.append(
+            f"This experiment cannot discriminate between these effects (|cos| > {limit:g}):"
+        )
         lines += [f"  {', '.join(group)}" for group in m.classes]
     else:
         lines.append("This experiment can discriminate between all effects that it detects.")

@@ -34,7 +34,7 @@ from slider_jax.io.files import versions
 
 NEXT_ANIMAL_EXPERIMENT = (
     "Measure a gliding animal (straight, no stroke) at two speeds, to discriminate between "
-    "friction and form drag. The thinned boundary layer acts only on the swimming animal."
+    "friction and form drag. Only a swimming animal can thin its boundary layer."
 )
 
 
@@ -142,7 +142,7 @@ def _settings(x: BalanceAnalysis) -> dict[str, Any]:
     """Returns the settings of the smoothing and the assumed values and ranges."""
     return {
         "smoothing": {"wavelength_L": x.smoothing.wavelength, "cutoff_Hz": x.smoothing.cutoff},
-        "width": f"{WIDTH_COLUMN} times {WIDTH_OVER_HALF_WIDTH:g}: assumed to be a half width",
+        "width": f"{WIDTH_COLUMN} times {WIDTH_OVER_HALF_WIDTH:g}, as for a half width (assumed)",
         "aspect": x.shape.aspect,
         "tail_depth_L": x.shape.tail_depth,
         "density_kg_per_m3": x.shape.density,
@@ -209,7 +209,7 @@ def balance_table(x: BalanceAnalysis) -> str:
         n = row["needs"]
         lines.append(
             f"{row['name']:<24}{row['parameter']} = {n['value']:.3g} ({n['low']:.2g} to "
-            f"{n['high']:.2g} {n['unit']}); in the prior range for {row['possible']:.0%} of samples"
+            f"{n['high']:.2g} {n['unit']}); in the prior range: {row['possible']:.0%} of samples"
         )
     return "\n".join(lines)
 
@@ -248,5 +248,5 @@ def _assumptions(x: BalanceAnalysis) -> list[list[str]]:
     width = f"{WIDTH_OVER_HALF_WIDTH:g} x {WIDTH_COLUMN}"
     return [
         *([name, f"{x:.3g}", f"{low:.3g} to {high:.3g}"] for name, x, (low, high) in ranges),
-        ["width", width, "assumed to be a half width"],
+        ["width", width, f"{WIDTH_COLUMN} is assumed to be a half width"],
     ]

@@ -140,7 +140,7 @@ ENTRIES = {
     ),
     "close-loop": Entry(
         "close-loop tank/experiment.toml --out results/tank",
-        "The measured trials are those of the simulated tank under `slider calibrate`. The command "
+        "The measured trials are those of the section on `slider calibrate`. The command "
         "finds the dead time of 20 ms. The picture is from `report.html`.",
         "results/tank/report.html#0",
         "tank",
@@ -156,8 +156,8 @@ ENTRIES = {
     ),
     "published": Entry(
         "published --out results/published",
-        "The picture shows the published speeds (dotted lines), and speeds from rest that follow "
-        "from the paper's equations.",
+        "The picture shows the published speeds (dotted lines), and the simulated speed of a "
+        "robot that starts at rest.",
         "results/published/report.html#0",
     ),
     "rig simulate": Entry(

@@ -1,4 +1,4 @@
-"""Fits a blurred, partly covered disc to the visible pixels of a marker by least squares."""
+"""Fits a blurred, partly hidden disc to the visible pixels of a marker by least squares."""
 
 from typing import NamedTuple
 
@@ -66,7 +66,7 @@ def ellipse_model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarr
 def fit_ellipse(
     x: np.ndarray, y: np.ndarray, values: np.ndarray, start: SoftEllipse
 ) -> tuple[SoftEllipse, float] | None:
-    """Fits an ellipse to the coverages `values` (n,) of pixels by the Levenberg-Marquardt method.
+    """Fits an ellipse to the filled fractions `values` (n,) of pixels by Levenberg-Marquardt.
 
     Returns the ellipse and the centre's standard error [px], or None if the fit does not converge.
     """

@@ -175,9 +175,9 @@ class WatchLog:
             last, late = self.rows[-1], np.array([row["lag_s"] for row in self.rows])
             print(
                 f"k {last['k_s']:.4g} +- {last['k_deviation_s']:.2g} s, K_Q {last['K_Q_m3']:.4g} "
-                f"+- {last['K_Q_deviation_m3']:.2g} m^3; the model was "
-                f"{1e3 * np.median(late):.0f} ms late in the median, and at most "
-                f"{1e3 * np.percentile(late, 99):.0f} ms in 99 % of the blocks"
+                f"+- {last['K_Q_deviation_m3']:.2g} m^3; the model's median "
+                f"delay was {1e3 * np.median(late):.0f} ms; 99 % of the blocks of readings were at "
+                f"most {1e3 * np.percentile(late, 99):.0f} ms late"
             )
         for alarm in self.alarms:
             print(f"ALARM at {alarm['t_s']:.2f} s: {alarm['said']}")

@@ -20,7 +20,7 @@ INTERNAL_RATE = 7000.0
 ERROR, SATURATED, LATCHED = 1 << 31, 1 << 17, 1 << 16
 """Bits of the status: any error; saturated transducer; load above a threshold (not an error)."""
 STUCK = 0.1
-"""A sensor is stuck if all six counts are constant for this time [s]; other sensors show noise."""
+"""A sensor is stuck if all six counts are constant for this time [s]. Noise varies sound counts."""
 
 RECORD = struct.Struct(">III6i")
 _FIELDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])

@@ -71,7 +71,7 @@ class PlannedTrial:
 
 
 class RecordedTrial(NamedTuple):
-    """Playback record of a recorded trial, and the recorder's load."""
+    """Playback record of a recorded trial, and the amounts of data recorded, lost and waiting."""
 
     played: PlaybackRecord
     load: RecorderLoad
@@ -111,7 +111,7 @@ def record_trial(
     timing: TrialTiming = TrialTiming(),
     watch: Callable[[str, float], None] = lambda phase, t: None,
 ) -> RecordedTrial:
-    """Records a trial to the file `path`, and returns the playback record and the recorder's load.
+    """Records a trial to the file `path`, and returns what was played and recorded.
 
     `instruments` maps a stream's name to the instrument. When the drive ends or fails, the manifold
     vents before the instruments stop. `watch` is called after each command, and 100 times per

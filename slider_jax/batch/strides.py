@@ -111,7 +111,7 @@ def run_strides(
 def steady_quantities(
     plan: Plan, robots: BatchRobot, runs: dict[str, np.ndarray], transient: int
 ) -> dict[str, np.ndarray]:
-    """Returns quantities (robots,), by name, of strides after the first `transient` strides.
+    """Returns {name: values (robots,)} for the strides after the first `transient` strides.
 
     `thrust_std_of_strides` is the standard deviation of the strides' mean thrusts.
     `thrust_std_within_stride` is the mean of the standard deviations within each stride. Peaks and

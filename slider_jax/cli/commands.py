@@ -51,7 +51,7 @@ COMMANDS = {
     ),
     "published": Subcommand(
         "calibration.cli.published:published",
-        "compares the published swimming speeds with speeds from the paper's equations",
+        "compares the published swimming speeds with those that the paper's equations give",
     ),
     "effects matrix": Subcommand(
         "calibration.cli.effects_matrix:effects_matrix",

@@ -145,7 +145,7 @@ class BodyChange(Effect):
 
 
 class Command(Effect):
-    """A difference between the commanded set pressure and the set pressure of the valves."""
+    """Set pressure: the valves receive another set pressure than the commanded one."""
 
     sensors = ("pressure", *Effect.sensors)
 

@@ -212,7 +212,7 @@ def optimum_summary(content: dict[str, Any]) -> list[str]:
             f"{1e2 * gradient[i]:12.3g}{1e2 * hessian[i]:12.3g}"
         )
     lines.append(
-        "gradient and curvature of the speed: cm/s per width of the bounds, or per squared width"
+        "gradient and curvature of the speed [cm/s]; variables are divided by the bounds' widths"
     )
     published, own = paper["published_m_per_s"], content["own_mesh"]
     lines.append(
