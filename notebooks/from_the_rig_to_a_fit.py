@@ -135,7 +135,7 @@ for trial in summaries:
 # The recording contains every received byte with its time of arrival. The next cell decodes the
 # messages again and compares the clock of the manifold with the clock of the computer. A straight
 # line converts times of the manifold to times of the computer. In the upper plot, a delay of zero
-# means that a message arrived at the time of this line. Points above zero are messages that arrived
+# means that a message arrived when the line predicts. Points above zero are messages that arrived
 # later. The lower plot shows the recorded pressures.
 
 # %%
@@ -152,7 +152,7 @@ axes[1].plot(columns["t_s"], 1e-3 * columns["p_rear_Pa"], label="rear")
 axes[1].set(xlabel="time (s)", ylabel="pressure (kPa)")
 axes[1].legend()
 plt.show()
-print(f"the manifold's clock runs at {clock.rate:.6f} of the computer's")
+print(f"the manifold's clock runs at {1 / clock.rate:.6f} of the computer's")
 
 # %% [markdown]
 # ## The fit

@@ -24,14 +24,14 @@ NOTES = {
     "limit": "distance from the null at which nine of ten experiments detect the effect. Detection "
     "requires a significant gain after C_d, m_a, k and K_Q are refitted, and a change of a channel "
     "that exceeds the model-discretisation discrepancy. Half of the experiments detect the effect "
-    "at the larger of significant_from and worth_naming_from. Two trials must show the effect",
+    "at the larger of significant_from and worth_naming_from. At least two trials must detect it",
     "share_of_range": "fraction of the prior range in which the effect is detectable",
     "limit_over_range": "limit divided by the distance from the null to the prior range's far end",
     "alike": "|cos| between the tangents of two effects after projecting out C_d, m_a, k and K_Q",
-    "finite_start": f"true if the limit is computed from a secant with a step of {FINITE_START:g} "
-    "of the prior range or to the declared start, because the effect is nonlinear at the null",
-    "told_by_sign": "pairs of effects with parallel tangents whose parameters cannot change sign, "
-    "so that the two effects change the readings in opposite directions",
+    "finite_start": "true if the limit is computed from a secant, because the effect is nonlinear "
+    f"at the null. The secant ends at the declared start, or at {FINITE_START:g} of the range",
+    "told_by_sign": "pairs of effects with parallel tangents. Their parameters have one sign each, "
+    "with which the two effects change the readings in opposite directions",
 }
 
 

@@ -50,7 +50,7 @@ def effect_pairs(
     sizes: Mapping[str, np.ndarray],
     free: np.ndarray,
 ) -> list[EffectPair]:
-    """Returns all pairs of effects of the given `sizes`; `indices` and `free` are rows of A."""
+    """Returns all pairs of effects; `indices` are their row numbers in A, `free` those refitted."""
     found = []
     for first, second in combinations(indices, 2):
         one, other = indices[first], indices[second]

@@ -141,7 +141,7 @@ def _profile(batch: LogBatch):
 
 
 def _lowest_minimum(square):
-    """Returns log k at the lowest local minimum of the scan, or at the lowest value if none exists.
+    """Returns log k at the lowest local minimum of `square` over `_STARTS`, or else at its minimum.
 
     The ends of the range do not count as local minima: with a k much longer than the log, the
     pressure stays constant. A constant pressure may fit well by chance without identifying k.

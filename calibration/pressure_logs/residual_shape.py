@@ -51,7 +51,7 @@ class ResidualShape(NamedTuple):
 
 
 def whole_cycles(log: ManifoldLog) -> np.ndarray:
-    """Returns a mask (samples,) of the whole cycles, without the first of three or more cycles."""
+    """Returns a mask (samples,) of the whole cycles. Of three or more, the first is left out."""
     cycles = math.floor(log.cycles + 0.02)
     first = 1 if cycles >= 3 else 0
     turn = log.t * log.frequency

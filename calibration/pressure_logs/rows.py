@@ -79,7 +79,7 @@ def _parse(text: str) -> list[float] | str:
         row.append(value)
     if row[0] != int(row[0]):
         return "N_sample is not a whole number"
-    # The firmware also writes command - pressure. A damaged row contradicts this column.
+    # In an undamaged row, the fourth value minus the sixth equals the fifth.
     if abs(row[3] - row[5] - row[4]) > 0.02:
         return "pressureError differs from pressureCommanded - pressure"
     return row

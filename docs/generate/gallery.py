@@ -163,7 +163,7 @@ ENTRIES = {
     "rig simulate": Entry(
         "rig simulate docs/experiment.toml", "The simulated rig runs until Ctrl-C.", needs="rig"
     ),
-    "rig ports": Entry("rig ports", "The output lists one port for each line."),
+    "rig ports": Entry("rig ports", "Each line of the output shows one port."),
     "rig check": Entry(
         f"rig check --port {PORT} --rig simulated_rig.toml",
         "The output shows the data rate, the noise and the leak test of the simulated rig.",

@@ -19,7 +19,7 @@ from rig.recording.table import SampledColumns, StreamReader
 REST_FRAMES = 20
 """Number of frames at rest. At least one of these frames must show all markers."""
 MIN_SEEN = 0.8
-"""Fraction of frames with the tip below which the reader reports a finding."""
+"""The reader reports a finding if a smaller fraction of the frames shows the tip."""
 
 
 @dataclass(frozen=True)

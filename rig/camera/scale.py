@@ -9,7 +9,7 @@ from rig.camera.markers import import_opencv
 from rig.errors import RigError
 
 MISFIT = 0.005
-"""Largest accepted rms residual of the corners in a scale's fit, as a fraction of their extent."""
+"""Largest accepted rms residual of the board's corners, as a fraction of the board's size."""
 
 
 class Lens(NamedTuple):
@@ -162,7 +162,7 @@ def scale_of_aruco(
 
 
 def _fit(px: np.ndarray, metres: np.ndarray, from_below: bool, lens: Lens | None) -> Scale:
-    """Fits the scale that maps `metres` (n, 2) to `px` (n, 2). y of `metres` points downwards."""
+    """Fits the scale to corners at `px` (n, 2) and at `metres` (n, 2), whose y points downwards."""
     straight = undistort(px, lens)
     z, w = straight @ [1, 1j], metres @ [1, 1j]
     # Both orders of the corners are fitted, because OpenCV may mirror a checkerboard's corners.

@@ -86,7 +86,7 @@ def rig_check(
     for x in found.held:
         print(
             f"{x.name:<12} reached {1e-3 * x.reached:7.2f} of {1e-3 * x.asked:g} kPa, "
-            f"63 % of this pressure after {1e3 * x.rise:.0f} ms"
+            f"63 % of the reached pressure after {1e3 * x.rise:.0f} ms"
         )
     findings, content = list(found.findings), found._asdict()
     content["held"] = [x._asdict() for x in found.held]

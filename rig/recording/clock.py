@@ -85,7 +85,7 @@ def fit_clock(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
     if length >= _SHORT and abs(_line_below(x, y).drift) >= MAX_DRIFT:
         raise RigError(
             f"clock: device time advances by {length:g} s and host time by {y[-1] - y[0]:g} s; the "
-            f"rates may differ by {1e6 * MAX_DRIFT:g} ppm; give times of the same run in seconds"
+            f"rates must agree to {1e6 * MAX_DRIFT:g} ppm; give times of the same run in seconds"
         )
     pieces = max(1, min(round(length / PIECE), x.size // 2))
     pairs = zip(np.array_split(x, pieces), np.array_split(y, pieces), strict=True)
@@ -149,8 +149,8 @@ def split_at_restarts(device_s: np.ndarray) -> list[slice]:
 def unwrap_counter(counts: np.ndarray, modulus: int) -> np.ndarray:
     """Returns the counts (n,) of a counter that restarts from 0 at `modulus`, unwrapped (int64).
 
-    A step larger than half the modulus counts as such a restart. A smaller backward step is kept:
-    a packet arrived out of order, or the device restarted.
+    A backward step larger than half the modulus is such a restart. A smaller backward step is
+    kept: a packet arrived out of order, or the device restarted.
     """
     counts = np.asarray(counts).astype(np.int64)
     half = modulus // 2
@@ -198,7 +198,8 @@ def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
     x (n,) and y (n,) are device and host times [s]. For a given drift, the highest line below the
     points touches one point. The mean of this line is a concave function of the drift. The best
     line touches two points: one before and one after the mean time. The loop searches for these
-    points. If a short record's lines of all drifts touch the same point, the drift is 0.
+    points. If the lines of all drifts touch the same point of a record shorter than
+    `_SHORT`, the drift is 0.
     """
     middle = x.mean()
     u, v = x - middle, y - x

@@ -7,7 +7,7 @@ The file remains readable if the writer is killed. The bytes of one read are cal
 | attributes | `schema`; `settings`, `versions` (JSON); `wall_ns_at_host_0` (Unix time [ns]) |
 | `closed` | 1 after the recorder has ended normally |
 | `streams/NAME/bytes` | uint8 (bytes,): the concatenated pieces |
-| `streams/NAME/index` | int64 (pieces, 3): host time [ns], end, CRC-32 of all bytes up to end |
+| `streams/NAME/index` | int64 (pieces, 3): host time [ns], end offset, CRC-32 up to that end |
 | `streams/NAME/lost` | int64 (2,): pieces and bytes that arrived but could not be written |
 
 The file follows HDF5's rules for a single writer and many readers (SWMR). `rig.recording.reader`

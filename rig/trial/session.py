@@ -144,7 +144,7 @@ def wait_for_rest(
     """Waits with vented chambers until the robot is at rest. Raises `RigError`.
 
     `before` is the previous trial's record, or None for the first trial. `watch` is called with a
-    text that names the sensors that still move, and with the time since the pause began [s].
+    text that names the sensors whose readings still change, and with the pause's duration [s].
     """
     # `configure` clears the errors of earlier events, such as a reset of the manifold.
     rig.manifold.configure(rig.limits)

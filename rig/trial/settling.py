@@ -53,7 +53,7 @@ class Stillness:
 
     @property
     def waits_for(self) -> str:
-        """Text with the column and the limit of each sensor that still moves; empty at rest."""
+        """Text with column and limit of each sensor whose readings still change; empty at rest."""
         moved = self._moved() if self._seen else np.zeros(len(self._sensors))
         return "".join(
             f", until the range of {sensor.column} is below {format_value(sensor.column, allowed)} "

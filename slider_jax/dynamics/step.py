@@ -179,7 +179,7 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
 
 
 def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
-    """Returns the carry after `change` of its rows (V_tau, V_n, phi), shape (..., 3, nodes)."""
+    """Returns the carry with `change(rows)` for its rows (V_tau, V_n, phi), (..., 3, nodes)."""
     history = carry.history.at[:, 3:].set(change(carry.history[:, 3:]))
     rows = change(carry.memory.motion), history
     return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)

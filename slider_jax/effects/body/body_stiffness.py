@@ -14,7 +14,7 @@ class BodyStiffness(BodyChange):
     Source: Gent, A. N. (2012), Engineering with Rubber, 3rd ed., Hanser, ch. 3.
     """
 
-    title = "the body is stiffer or softer"
+    title = "a body stiffer or softer than stated"
     order = 260
 
     x: Scalar = parameter(

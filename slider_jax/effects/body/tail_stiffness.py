@@ -15,7 +15,7 @@ class TailStiffness(BodyChange):
     Timoshenko, S. P. (1997), Mechanics of Materials, 4th ed., ch. 5.
     """
 
-    title = "the tail is stiffer or softer"
+    title = "a tail stiffer or softer than stated"
     order = 270
 
     x: Scalar = parameter(
