@@ -189,9 +189,11 @@ class TankProblem(AbstractProblem):
     ) -> "TankProblem":
         """Returns the problem of an experiment's `records` for the extended model with `effects`.
 
-        `channels` are the fitted channels (default: all).
+        `channels` are the fitted channels (default: all). Channels without readings in any trial
+        are left out: the change of a reading that no sensor measured is no evidence.
         """
-        channels = tuple(CHANNELS) if channels is None else channels
+        wanted = tuple(CHANNELS) if channels is None else channels
+        channels = tuple(c for c in wanted if any(r.has(c) for r in records))
         prepared = [prepare(experiment, r.trial, sample_times=r.t) for r in records]
         plans = [
             [plan_trial(experiment, trial, effects, resolution) for trial in prepared]

@@ -1,0 +1,34 @@
+"""Problems of measured trials: which channels count."""
+
+import numpy as np
+
+from calibration.discrepancy.refits import Refits
+from calibration.inference.gauss_newton import Fit
+from calibration.inference.problem import TankProblem
+from calibration.measurements.records import Record
+from calibration.model.predict import Resolution
+from slider_jax.channels import CHANNELS, row_of
+from slider_jax.experiment.load import load
+from tests.support.experiments import write_small_experiment
+
+MESH = Resolution(11, 20, 1e-2)
+
+
+def test_a_channel_that_no_trial_measures_is_no_evidence(tmp_path):
+    """Without a force sensor, a change of the predicted thrust does not count."""
+    experiment = load(write_small_experiment(tmp_path))
+    t = np.arange(100) / 200.0
+    readings = np.sin(20.0 * t) * np.ones((len(CHANNELS), 1))
+    readings[[row_of("thrust"), row_of("recoil")]] = np.nan
+    records = [Record(trial, t, readings) for trial in experiment.trials]
+    problem = TankProblem.of(experiment, records, (), fine=MESH, coarse=MESH)
+    before = [np.ones_like(readings) for _ in records]
+    after = [x.copy() for x in before]
+    for x in after:
+        x[row_of("thrust")] *= 2.0
+    first, second = (
+        Fit(np.zeros(0), np.zeros(0, int), 0.0, 0, [], predicted, True)
+        for predicted in (before, after)
+    )
+    sizes = Refits(problem, [], {}, print).sizes(first, second)
+    assert sizes == {"p_front": 0.0, "p_rear": 0.0, "tip": 0.0}
