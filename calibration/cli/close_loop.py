@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import tyro
 
-from slider_jax.cli.options import Folder, ModelFile
+from slider_jax.cli.options import Folder, ModelFile, Names
 from slider_jax.cli.progress import timed_printer
-from slider_jax.errors import InputError
+from slider_jax.errors import InputError, refuse_unknown
 
 
 def close_loop(
@@ -21,6 +21,8 @@ def close_loop(
         ),
     ],
     out: Folder,
+    only: Names = (),
+    without: Names = (),
     model: ModelFile = None,
 ) -> None:
     """Calibrates a model and finds the effects that the model lacks.
@@ -34,6 +36,8 @@ def close_loop(
         inputs: experiment file (.toml) with its measured trials in the same folder, or five or more
             pressure logs (.txt) of the rig at different frequencies.
         out: folder for the results; created if missing. Files of the same name are replaced.
+        only: names of the candidate effects (default: the whole library).
+        without: names of effects that are not candidates (default: none).
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
     from calibration.discrepancy.page import loop_page
@@ -50,10 +54,13 @@ def close_loop(
     given = _logs(inputs) if _are_logs(inputs, model) else load(inputs[0], model)
     folder = given.folder if isinstance(given, Experiment) else None
     files = (*inputs, *([model] if model else []))
-    with resumable(out, input_settings(files, folder)) as memo:
+    close = _close_on_experiment if isinstance(given, Experiment) else _close_on_logs
+    names = _candidates(given, only, without)
+    choice = {"only": sorted(only), "without": sorted(without)}
+    with resumable(out, input_settings(files, folder) | choice) as memo:
         _announce_replacement(out)
-        close = _close_on_experiment if isinstance(given, Experiment) else _close_on_logs
-        outcome, record = close(given, inputs, memo, progress, seconds)
+        outcome, record = close(given, names, inputs, memo, progress, seconds)
+        record["candidate_choice"] = choice
         with staged(out) as stage:
             write_json(stage / "report.json", record)
             write_text(stage / "model.toml", loop_model_toml(outcome))
@@ -80,6 +87,20 @@ def _are_logs(inputs: tuple[Path, ...], model: Path | None) -> bool:
     return False
 
 
+def _candidates(given: Any, only: tuple[str, ...], without: tuple[str, ...]) -> list[str]:
+    """Returns the names of the candidate effects for an experiment or for logs `given`."""
+    from calibration.model.extended import candidate_effects
+    from calibration.pressure_logs.problem import log_candidates
+
+    known = log_candidates() if isinstance(given, list) else candidate_effects()
+    refuse_unknown("--only", only, known)
+    refuse_unknown("--without", without, known)
+    names = [n for n in known if (n in only or not only) and n not in without]
+    if not names:
+        raise InputError("--only, --without: no candidate effect remains; give other names")
+    return names
+
+
 def _announce_replacement(out: Path) -> None:
     try:
         source = json.loads((out / "report.json").read_text())["input"]
@@ -97,20 +118,22 @@ def _logs(paths: tuple[Path, ...]):
     return [read_log(path) for path in paths]
 
 
-def _close_on_experiment(experiment, inputs, memo, progress, seconds) -> tuple[Any, dict[str, Any]]:
+def _close_on_experiment(
+    experiment, names, inputs, memo, progress, seconds
+) -> tuple[Any, dict[str, Any]]:
     from calibration.discrepancy.close_loop import close_loop_on_trials
     from calibration.discrepancy.report import loop_record
     from calibration.experiment_design.next_experiment import next_experiment
     from slider_jax.io.files import input_file
 
-    outcome = close_loop_on_trials(experiment, progress=progress, memo=memo)
+    outcome = close_loop_on_trials(experiment, names, progress, memo=memo)
     following = next_experiment(outcome, progress)
     return outcome, loop_record(outcome, seconds(), input_file(inputs[0]), following)
 
 
-def _close_on_logs(logs, inputs, memo, progress, seconds) -> tuple[Any, dict[str, Any]]:
+def _close_on_logs(logs, names, inputs, memo, progress, seconds) -> tuple[Any, dict[str, Any]]:
     from calibration.pressure_logs.close_loop import close_loop_on_logs, log_report
 
-    outcome = close_loop_on_logs(logs, progress=progress, memo=memo)
+    outcome = close_loop_on_logs(logs, names, progress, memo)
     progress("simulating the thrust with and without the effects")
     return outcome, log_report(outcome, logs, seconds)

@@ -300,6 +300,21 @@ def test_a_step_that_does_not_converge_is_reported(tmp_path, capsys):
     assert not out.exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--only", "valve_dely"], "--only: given 'valve_dely'; allowed "),
+        (["--without", "no_such"], "--without: given 'no_such'; allowed "),
+        (["--only", "leakage", "--without", "leakage"], "no candidate effect remains"),
+    ],
+)
+def test_an_invalid_choice_of_candidates_is_refused(words, said, tmp_path, capsys):
+    out, experiment = tmp_path / "out", write_small_experiment(tmp_path)
+    assert main(["close-loop", str(experiment), "--out", str(out), *words]) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
 @pytest.mark.parametrize("command", ["calibrate", "close-loop"])
 def test_missing_input_is_rejected_before_anything_is_written(command, tmp_path, capsys):
     out, experiment = tmp_path / "out", write_small_experiment(tmp_path)
