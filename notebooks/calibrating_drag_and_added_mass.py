@@ -168,7 +168,7 @@ ax.set(xlabel="drive frequency (Hz)", ylabel="mean thrust (N)")
 ax.legend(fontsize="small")
 plt.show()
 worst = 1e3 * np.abs(measured - predicted).max()
-print(f"largest difference {worst:.0f} mN, with the errors of tare and gain")
+print(f"largest difference {worst:.0f} mN, including the errors of tare and gain")
 
 # %% [markdown]
 # The command `slider calibrate EXPERIMENT.toml --out DIR` makes the same calibration. The command

@@ -200,7 +200,7 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
         moving = [t.file for t in loaded.trials if t.tow_speed or t.clamp_moves]
         if moving:
             print(
-                f"the simulated clamp cannot move, as these trials ask: {', '.join(moving)}",
+                f"these trials move the clamp, but the simulated one is fixed: {', '.join(moving)}",
                 file=sys.stderr,
             )
         print("compiling the simulated robot ...", file=sys.stderr, flush=True)

@@ -16,7 +16,7 @@ ROWS = (
     ("power_W", "power P", "mW", 1e3),
     ("efficiency", "efficiency m g U/P", "", 1.0),
     ("dissipated_of_power", "dissipated power", "% of P", 1e2),
-    ("stored_of_power", "growth of the swing's energy", "% of P", 1e2),
+    ("stored_of_power", "growth of stored energy", "% of P", 1e2),
     ("unaccounted_of_power", "error of the time steps", "% of P", 1e2),
     ("swing_rad", "swing of the head, peak to peak", "deg", 180.0 / np.pi),
     ("tail_swing_m", "swing of the tip, peak to peak", "mm", 1e3),
