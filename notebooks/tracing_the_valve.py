@@ -54,7 +54,8 @@ print(", ".join(f"{log.frequency:.3g} Hz ({len(log.t)} samples)" for log in logs
 # Each sample of a log gives the pressure error, p_set - p, and the rate at which the pressure
 # changes. If the pressure followed a lag, the rate would be proportional to the error at every
 # pressure. The firmware opens a valve fully if the error exceeds 3.4 psi (25 steps of the
-# analogue-to-digital converter). The plots show the rate for errors above 4 psi, so a valve is fully open at every point.
+# analogue-to-digital converter). The plots show the rate for errors above 4 psi, so a valve is fully
+# open at every point.
 # Each blue circle is the mean rate of the samples in a small range of pressures.
 
 # %%
@@ -173,8 +174,8 @@ plt.show()
 #
 # The pressure sensor's analogue-to-digital converter represents each pressure by a whole number,
 # its code. Over many cycles, the pressure of a chamber passes smoothly through all values.
-# Neighbouring codes should therefore occur equally often. The left plot shows the density of the
-# codes, which is how often each code occurs, divided by its mean over neighbouring codes. If this
+# Neighbouring codes should therefore occur equally often. The left plot shows the density of
+# each code: its number of readings, divided by the mean number of the neighbouring codes. If this
 # density varies periodically with the code, the cause is the instrument. The right plot shows the
 # power of each period of this variation.
 
