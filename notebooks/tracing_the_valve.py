@@ -54,9 +54,9 @@ print(", ".join(f"{log.frequency:.3g} Hz ({len(log.t)} samples)" for log in logs
 # Each sample of a log gives the pressure error, p_set - p, and the rate at which the pressure
 # changes. If the pressure followed a lag, the rate would be proportional to the error at every
 # pressure. The firmware opens a valve fully if the error exceeds 3.4 psi (25 steps of the
-# analogue-to-digital converter). The plots show the rate for errors above 4 psi, so a valve is fully
-# open at every point.
-# Each blue circle is the mean rate of the samples in a small range of pressures.
+# analogue-to-digital converter). The plots show the rate for errors above 4 psi, so a valve is
+# fully open at every point. Each blue circle is the mean rate of the samples in a small range of
+# pressures.
 
 # %%
 filling, venting = [], []
