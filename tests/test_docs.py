@@ -88,7 +88,7 @@ def test_every_public_module_and_every_effect_is_on_the_site():
     for name, kind in LIBRARY.items():
         section = GENERATED[effects.PAGE].split(f"\n### `{name}`\n")[1].split("\n### ")[0]
         assert kind.title in section
-        assert all(f"| `{parameter}` |" in section for parameter in kind.priors())
+        assert all(f"| `{parameter}` |" in section for parameter in kind.priors() | kind.shapes())
 
 
 def test_every_page_is_in_the_navigation():

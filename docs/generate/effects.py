@@ -14,14 +14,37 @@ def _parameter(name: str, prior: Prior) -> str:
     return f"| `{name}` | {prior.null:g} | {prior.low:g} to {prior.high:g} | {unit} | {prior.why} |"
 
 
+def _shape(name: str, shape: Prior) -> str:
+    unit = "" if shape.unit == "-" else shape.unit
+    return (
+        f"| `{name}` | {shape.null:.4g} | {shape.low:g} to {shape.high:g} | {unit} | {shape.why} |"
+    )
+
+
+def _shapes(shapes: dict[str, Prior]) -> list[str]:
+    if not shapes:
+        return []
+    return [
+        *(
+            "| shape parameter | default value | prior range | unit | reason |",
+            "|---|---|---|---|---|",
+        ),
+        *(_shape(name, shape) for name, shape in shapes.items()),
+        "",
+    ]
+
+
 def _effect(name: str) -> list[str]:
     kind = LIBRARY[name]
+    segments = f" Acts on: {', '.join(kind.segments)}." if kind.segments else ""
+    sensors = f"Sensors: {', '.join(kind.sensors)}."
     return [
-        *(f"### `{name}`", "", f"**{kind.title}**. Sensors: {', '.join(kind.sensors)}.", ""),
+        *(f"### `{name}`", "", f"**{kind.title}**. {sensors}{segments}", ""),
         *("```text", inspect.getdoc(kind) or "", "```", ""),
         *("| parameter | null value | prior range | unit | reason |", "|---|---|---|---|---|"),
         *(_parameter(parameter, prior) for parameter, prior in kind.priors().items()),
         "",
+        *_shapes(kind.shapes()),
     ]
 
 
@@ -41,8 +64,9 @@ def pages() -> dict[str, str]:
         "```",
         "",
         "If a parameter has its null value, the effect vanishes. Calibration searches a parameter",
-        "within its prior range. [Adding an effect](../how-to/adding_an_effect.md) explains how to",
-        "write a new effect.",
+        "within its prior range. A shape parameter, such as a time constant, has no influence",
+        "while the other parameters of the effect have their null values.",
+        "[Adding an effect](../how-to/adding_an_effect.md) explains how to write a new effect.",
         "",
     ]
     for place in PLACES:

@@ -99,14 +99,15 @@ def explanation(name: str) -> str:
         "",
         f"place:   {_first_line(place_of(kind))}",
         f"sensors: {', '.join(kind.sensors)}",
+        *([f"acts on: {', '.join(kind.segments)}"] if kind.segments else []),
         "",
         "parameters",
     ]
     priors = kind.priors()
-    rows = [(parameter, _range(prior), prior.why) for parameter, prior in priors.items()]
-    widths = [max(len(row[i]) for row in rows) for i in (0, 1)]
-    for parameter, span, why in rows:
-        lines.append(f"  {parameter:<{widths[0]}}  {span:<{widths[1]}}  {why}")
+    lines += _table({key: (_range(prior), prior.why) for key, prior in priors.items()})
+    if kind.shapes():
+        lines += ["", "shape parameters (no influence while the effect vanishes)"]
+        lines += _table({key: (_shape_range(x), x.why) for key, x in kind.shapes().items()})
     lines += ["", "example for an experiment or model file", f'  [[effects]]\n  name = "{name}"']
     examples = {key: 0.5 * (prior.null + typical_size(prior)) for key, prior in priors.items()}
     return "\n".join([*lines, *(f"  {key} = {value:.3g}" for key, value in examples.items())])
@@ -120,6 +121,17 @@ def _range(prior: Prior) -> str:
     unit = "" if prior.unit == "-" else f" {prior.unit}"
     null = "" if prior.null == 0.0 else f", no effect at {prior.null:g}"
     return f"{prior.low:g} to {prior.high:g}{unit}{null}"
+
+
+def _shape_range(shape: Prior) -> str:
+    unit = "" if shape.unit == "-" else f" {shape.unit}"
+    return f"{shape.low:g} to {shape.high:g}{unit}, default {shape.null:.4g}"
+
+
+def _table(rows: dict[str, tuple[str, str]]) -> list[str]:
+    """Returns one aligned line for each parameter: its name, its range and the reason."""
+    first, second = max(map(len, rows)), max(len(span) for span, _ in rows.values())
+    return [f"  {key:<{first}}  {span:<{second}}  {why}" for key, (span, why) in rows.items()]
 
 
 def _draw(name: str, out: Path, path: Path | None) -> list[str]:

@@ -19,6 +19,7 @@ from slider_jax.effects.base import (
     WaterMotion as WaterMotion,
     of_place as of_place,
     parameter as parameter,
+    shape_parameter as shape_parameter,
     total_force as total_force,
 )
 from slider_jax.effects.body.gravity import Gravity as Gravity

@@ -3,7 +3,8 @@
 A model contains a list of effects, and the solver treats all effects alike. A place is the part of
 the model where an effect acts. This module defines one base class with one abstract method for each
 place. `parameter` declares a parameter of an effect: the null at which the effect vanishes, the
-prior range and the reason for this range.
+prior range and the reason for this range. `shape_parameter` declares a parameter that sets the
+shape of the law, such as a time constant; this parameter has no null.
 """
 
 import math
@@ -45,6 +46,15 @@ def parameter(
     return eqx.field(default=null, metadata={"prior": Prior(null, low, high, unit, why, start)})
 
 
+def shape_parameter(value: float, low: float, high: float, unit: str, why: str) -> Any:
+    """Returns a field for a shape parameter of an effect. The field's default value is `value`.
+
+    A shape parameter has no null. Its value has an influence only if the other parameters of the
+    effect differ from their nulls. A fit can identify a shape parameter after the effect is added.
+    """
+    return eqx.field(default=value, metadata={"shape": Prior(value, low, high, unit, why)})
+
+
 class Effect(eqx.Module):
     """A physical cause. Each subclass states its equation and its source in its docstring."""
 
@@ -54,6 +64,9 @@ class Effect(eqx.Module):
     """Position of the effect in the library. Effects without a number are last, sorted by name."""
     sensors: ClassVar[tuple[str, ...]] = ("thrust", "recoil", "tip")
     """Sensors that can detect the effect: one or more of pressure, thrust, recoil and tip."""
+    segments: ClassVar[tuple[str, ...]] = ()
+    """Parts of the robot that an effect of the body changes: body, tail or both. The tuple is empty
+    for effects at other places, such as valves, mounting, water and sensors."""
     in_every_model: ClassVar[bool] = False
     """Whether every model contains the effect. If True, the library omits the effect."""
     is_candidate: ClassVar[bool] = True
@@ -83,6 +96,11 @@ class Effect(eqx.Module):
     def priors(cls) -> dict[str, Prior]:
         """Returns the priors of the parameters that a fit can identify, by parameter name."""
         return {f.name: f.metadata["prior"] for f in fields(cls) if "prior" in f.metadata}
+
+    @classmethod
+    def shapes(cls) -> dict[str, Prior]:
+        """Returns the shape parameters by name. The `null` of each entry is its default value."""
+        return {f.name: f.metadata["shape"] for f in fields(cls) if "shape" in f.metadata}
 
 
 class ForceDensity(Effect):

@@ -39,8 +39,8 @@ def load_effects(path: Path) -> list[str]:
 
     The file runs as Python code, so load only files that you trust. Raises `InputError` and adds no
     effect if the file cannot be imported or defines no effect, or if one of the effects is invalid.
-    An effect is invalid if it has no title or no parameter, if a null is outside the prior range,
-    or if another effect has the same name.
+    An effect is invalid if it has no title or no parameter, if a null or the default of a shape
+    parameter is outside the prior range, or if another effect has the same name.
     """
     module_name = f"_effects_of_{path.stem}"
     spec = importlib.util.spec_from_file_location(module_name, path)
@@ -86,9 +86,10 @@ def _check_effects(path: Path, kinds: list[type[Effect]]) -> None:
                 f"{where}: has no parameter with null and prior range; declare a field with "
                 "parameter(null, low, high, unit, why)"
             )
-        for name, prior in kind.priors().items():
-            if not (prior.low <= prior.null <= prior.high and prior.low < prior.high):
-                raise InputError(
-                    f"{where}.{name}: given null {prior.null:g}, prior {prior.low:g} to "
-                    f"{prior.high:g}; allowed are low < high and a null in this range"
-                )
+        for noun, priors in (("null", kind.priors()), ("default", kind.shapes())):
+            for name, prior in priors.items():
+                if not (prior.low <= prior.null <= prior.high and prior.low < prior.high):
+                    raise InputError(
+                        f"{where}.{name}: given {noun} {prior.null:g}, prior {prior.low:g} to "
+                        f"{prior.high:g}; allowed are low < high and a {noun} in this range"
+                    )

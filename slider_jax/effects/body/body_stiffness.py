@@ -16,6 +16,7 @@ class BodyStiffness(BodyChange):
 
     title = "a body stiffer or softer than stated"
     order = 260
+    segments = ("body",)
 
     x: Scalar = parameter(
         0.0, -0.3, 0.4, "-", "10 % error of bending tests, and effects of age, tubes and a sleeve"

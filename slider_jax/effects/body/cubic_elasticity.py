@@ -15,6 +15,7 @@ class CubicElasticity(BendingMoment):
 
     title = "body and tail stiffen as they bend"
     order = 320
+    segments = ("body", "tail")
 
     b: Scalar = parameter(
         0.0, -0.005, 0.1, "m^2", "at kappa = 3 1/m, the moment is 5 % smaller to 90 % larger"

@@ -19,6 +19,7 @@ class Gravity(ForceDensity):
 
     title = "weight"
     order = 400
+    segments = ("body", "tail")
     is_candidate = False
     in_air = True
 

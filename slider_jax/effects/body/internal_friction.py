@@ -1,10 +1,9 @@
 """Dry friction inside the body."""
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import BendingMoment, parameter
+from slider_jax.effects.base import BendingMoment, parameter, shape_parameter
 
 FRICTION_CREEP = 1.0
 """w [1/(m s)], width of the smoothing of |d(kappa)/dt|: 1 % of the rate in a typical stride."""
@@ -23,13 +22,16 @@ class InternalFriction(BendingMoment):
 
     title = "dry friction inside the body"
     order = 350
+    segments = ("body",)
 
     z_c: Scalar = parameter(
         0.0, 0.0, 0.03, "N m", "up to a quarter of a chamber's moment, which is 0.12 N m at 250 kPa"
     )
     """z_c, largest friction moment."""
-    kappa_c: Scalar = eqx.field(default=0.3)
-    """kappa_c [1/m], curvature scale of q: a tenth of the curvature in a typical stride."""
+    kappa_c: Scalar = shape_parameter(
+        0.3, 0.05, 3.0, "1/m", "a hundredth to all of the curvature in a typical stride, 3 1/m"
+    )
+    """kappa_c, curvature scale of q."""
 
     def moment(self, x, memory, dt):
         speed = jnp.sqrt(x.kappa_t**2 + FRICTION_CREEP**2)

@@ -17,6 +17,7 @@ class MaterialDamping(BodyChange):
 
     title = "the material damps more or less"
     order = 280
+    segments = ("body", "tail")
 
     x: Scalar = parameter(
         0.0, -0.9, 4.0, "-", "the damping of rubber varies with batch, temperature and rate"

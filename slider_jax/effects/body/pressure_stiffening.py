@@ -17,6 +17,7 @@ class PressureStiffening(BendingMoment):
 
     title = "pressure stiffens the body"
     order = 330
+    segments = ("body",)
 
     c: Scalar = parameter(
         0.0, -5e-8, 2e-7, "N m^2/Pa", "at 250 kPa, the stiffness is 0.7 to 2.3 times EI"

@@ -15,6 +15,7 @@ class RestCurvature(BendingMoment):
 
     title = "the body is bent at rest"
     order = 360
+    segments = ("body",)
 
     m_0: Scalar = parameter(
         0.0, -0.03, 0.03, "N m", "a rest curvature of 0.8 1/m, from storage or walls 10 % too thick"

@@ -16,6 +16,7 @@ class Stiffening(BendingMoment):
 
     title = "the body stiffens as it bends"
     order = 310
+    segments = ("body",)
 
     beta: Scalar = parameter(
         0.0, -2e-4, 2e-3, "N m^4", "at kappa = 3 1/m, the moment is 5 % smaller to 50 % larger"

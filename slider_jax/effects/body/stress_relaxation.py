@@ -1,9 +1,7 @@
 """Stress that relaxes at constant curvature."""
 
-import equinox as eqx
-
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import BendingMoment, parameter
+from slider_jax.effects.base import BendingMoment, parameter, shape_parameter
 
 
 class StressRelaxation(BendingMoment):
@@ -17,13 +15,16 @@ class StressRelaxation(BendingMoment):
 
     title = "stress relaxes"
     order = 340
+    segments = ("body",)
 
     E_1: Scalar = parameter(
         0.0, 0.0, 0.02, "N m^2", "silicone and sleeves relax by 10 to 50 % of EI = 0.038 N m^2"
     )
     """Stiffness of the spring in series with the dashpot."""
-    tau: Scalar = eqx.field(default=0.1)
-    """tau, relaxation time [s]. The default is half of a stride of 0.2 s."""
+    tau: Scalar = shape_parameter(
+        0.1, 0.02, 2.0, "s", "half of a stride of 0.2 s; elastomers have times from ms to minutes"
+    )
+    """tau, relaxation time."""
 
     def moment(self, x, memory, dt):
         q = (memory + dt * x.kappa_t) / (1.0 + dt / self.tau)

@@ -17,6 +17,7 @@ class TailStiffness(BodyChange):
 
     title = "a tail stiffer or softer than stated"
     order = 270
+    segments = ("tail",)
 
     x: Scalar = parameter(
         0.0, -0.5, 0.8, "-", "a sheet thicker by a sixth has 1.6 times EI; the joint changes EI too"

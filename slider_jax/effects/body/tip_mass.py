@@ -20,6 +20,7 @@ class TipMass(ForceDensity):
 
     title = "a mass at the tail's tip"
     order = 490
+    segments = ("tail",)
     lacks_weight = True
 
     mass: Scalar = parameter(

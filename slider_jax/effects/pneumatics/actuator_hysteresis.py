@@ -1,10 +1,9 @@
 """Hysteresis of the actuators."""
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import ActingPressure, parameter
+from slider_jax.effects.base import ActingPressure, parameter, shape_parameter
 
 
 class ActuatorHysteresis(ActingPressure):
@@ -25,8 +24,10 @@ class ActuatorHysteresis(ActingPressure):
         0.0, 0.0, 50e3, "Pa", "hysteresis of elastomer actuators is up to a third of the stroke"
     )
     """A, half the height of the hysteresis loop if the pressure changes by much more than w."""
-    width: Scalar = eqx.field(default=50e3)
-    """w [Pa], the change of pressure that reverses z."""
+    width: Scalar = shape_parameter(
+        50e3, 5e3, 200e3, "Pa", "2 to 80 % of a drive amplitude of 250 kPa"
+    )
+    """w, the change of pressure that reverses z."""
 
     def act(self, p, memory, dt):
         # `held` is p - w z of the previous step. At the start, `held` is p, so z is zero.

@@ -1,11 +1,10 @@
 """Compressible flow through the open valve."""
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Flow, parameter
+from slider_jax.effects.base import Flow, parameter, shape_parameter
 from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
 
 
@@ -38,10 +37,14 @@ class OrificeFlow(Flow):
 
     share: Scalar = parameter(0.0, 0.0, 1.0, "-", "0 for the linear lag, 1 for an orifice")
     """w, weight of orifice flow; 1 - w is the weight of the linear lag."""
-    supply: Scalar = eqx.field(default=600e3)
-    """p_s [Pa], gauge pressure of the supply."""
-    critical: Scalar = eqx.field(default=0.3)
-    """b, critical pressure ratio [-] of psi: 0.2 to 0.5 for valves."""
+    supply: Scalar = shape_parameter(
+        600e3, 200e3, 1.1e6, "Pa", "gauge pressures of laboratory regulators and compressors"
+    )
+    """p_s, gauge pressure of the supply."""
+    critical: Scalar = shape_parameter(
+        0.3, 0.1, 0.6, "-", "0.2 to 0.5 for valves, 0.528 for a nozzle"
+    )
+    """b, critical pressure ratio of psi."""
 
     def rate(self, rate, x):
         inside, supply = ATMOSPHERE + jnp.abs(x.p), ATMOSPHERE + self.supply

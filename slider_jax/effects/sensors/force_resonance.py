@@ -1,12 +1,11 @@
 """A force sensor that resonates with the mass on the sensor."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Instrument, last_sample, parameter
+from slider_jax.effects.base import Instrument, last_sample, parameter, shape_parameter
 
 
 class ForceResonance(Instrument):
@@ -32,8 +31,10 @@ class ForceResonance(Instrument):
         0.0, 0.0, 1e-4, "s^2", "0 for a stiff sensor, 1e-4 for a resonance at 16 Hz"
     )
     """c [s^2], mass divided by stiffness."""
-    damping_rate: Scalar = eqx.field(default=20.0)
-    """b [1/s]. With the default, the damping ratio is 0.1 for a resonance at 16 Hz."""
+    damping_rate: Scalar = shape_parameter(
+        20.0, 2.0, 200.0, "1/s", "damping ratios of 0.01 to 1 for a resonance at 16 Hz"
+    )
+    """b, damping rate. With the default, the damping ratio is 0.1 for a resonance at 16 Hz."""
 
     def follow(self, before: tuple[Array, Array, Array], F: Array, dt: Array) -> Array:
         """Returns the next reading [N] at F [N]. `before`: last three readings, latest first."""

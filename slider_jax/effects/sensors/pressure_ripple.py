@@ -2,11 +2,10 @@
 
 import math
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Instrument, parameter
+from slider_jax.effects.base import Instrument, parameter, shape_parameter
 
 
 class PressureRipple(Instrument):
@@ -25,8 +24,10 @@ class PressureRipple(Instrument):
     """a, amplitude of the sine."""
     b: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes (steps) of the converter, 0.93 kPa each")
     """b, amplitude of the cosine."""
-    period: Scalar = eqx.field(default=32 * 932.8)
-    """P [Pa], period of the error. The default is 32 codes, for the fifth bit of the converter."""
+    period: Scalar = shape_parameter(
+        32 * 932.8, 8 * 932.8, 128 * 932.8, "Pa", "8 to 128 codes, for the third to the seventh bit"
+    )
+    """P, period of the error. The default is 32 codes, for the fifth bit of the converter."""
 
     def read(self, true):
         def off(p):

@@ -6,23 +6,20 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import ForceDensity, parameter
-
-MIN_KC = 0.3
-"""Smallest KC (a stroke amplitude of about H/20). This limit keeps the drag coefficient finite."""
+from slider_jax.effects.base import ForceDensity, parameter, shape_parameter
 
 
 class KeuleganCarpenterDrag(ForceDensity):
     """Drag of a plate that oscillates at the frequency f, in addition to the base model's drag.
 
-        F_n = -rho C KC^(-1/3) H |u_n| u_n / 2
+        F_n = -rho C KC^(-e) H |u_n| u_n / 2
         KC  = U/(f H),    U^2 = u_n^2 + (du_n/dt)^2/(2 pi f)^2
 
     KC is the Keulegan-Carpenter number, and U the amplitude of a sinusoidal u_n. A smooth limit
-    keeps KC above 0.3. Source: Keulegan, G. H. and Carpenter, L. H. (1958), Forces on cylinders and
-    plates in an oscillating fluid, J. Res. Natl. Bur. Stand. 60, 423-440. The exponent -1/3 and
-    C = 8 are from Graham, J. M. R. (1980), The forces on sharp-edged cylinders in oscillatory flow
-    at low Keulegan-Carpenter numbers, J. Fluid Mech. 97, 331-346.
+    keeps KC above KC_min. Source: Keulegan, G. H. and Carpenter, L. H. (1958), Forces on cylinders
+    and plates in an oscillating fluid, J. Res. Natl. Bur. Stand. 60, 423-440. For a plate, e = 1/3
+    and C = 8 are from Graham, J. M. R. (1980), The forces on sharp-edged cylinders in oscillatory
+    flow at low Keulegan-Carpenter numbers, J. Fluid Mech. 97, 331-346.
     """
 
     title = "drag coefficient that decreases with amplitude"
@@ -32,6 +29,18 @@ class KeuleganCarpenterDrag(ForceDensity):
         0.0, 0.0, 10.0, "-", "8 for a plate with sharp edges; smaller for round edges or large C_d"
     )
     """C, drag coefficient at KC = 1."""
+    exponent: Scalar = shape_parameter(
+        1.0 / 3.0, 0.05, 0.7, "-", "1/3 for a plate; smaller for a section with blunt edges"
+    )
+    """e, exponent of the decrease."""
+    KC_min: Scalar = shape_parameter(
+        0.3,
+        0.05,
+        3.0,
+        "-",
+        "0.3 is a stroke amplitude of about H/20; thick edges limit C_d earlier",
+    )
+    """KC_min, smallest KC. This limit keeps the drag coefficient finite."""
     stride_frequency: Scalar = eqx.field(default=5.0)
     """Drive frequency f [Hz] of the trial."""
     density: Scalar = eqx.field(default=1000.0)
@@ -39,7 +48,7 @@ class KeuleganCarpenterDrag(ForceDensity):
 
     def force(self, x):
         U_2 = x.u_n**2 + (x.u_n_t / (2.0 * math.pi * self.stride_frequency)) ** 2
-        KC_2 = U_2 / (self.stride_frequency * x.height) ** 2 + MIN_KC**2
-        C_d = self.C * KC_2 ** (-1.0 / 6.0)
+        KC_2 = U_2 / (self.stride_frequency * x.height) ** 2 + self.KC_min**2
+        C_d = self.C * KC_2 ** (-0.5 * self.exponent)
         F_n = -0.5 * self.density * C_d * x.height * jnp.abs(x.u_n) * x.u_n
         return jnp.zeros_like(F_n), F_n

@@ -2,11 +2,10 @@
 
 import math
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import WaterMotion, parameter
+from slider_jax.effects.base import WaterMotion, parameter, shape_parameter
 
 
 class TankSeiche(WaterMotion):
@@ -25,8 +24,10 @@ class TankSeiche(WaterMotion):
     """Amplitude of the cosine in U_x."""
     a_sin: Scalar = parameter(0.0, -0.02, 0.02, "m/s", "the surface moves by some mm")
     """Amplitude of the sine in U_x."""
-    frequency: Scalar = eqx.field(default=0.76)
-    """Frequency f [Hz]; the default is for a tank 1 m long and 0.3 m deep."""
+    frequency: Scalar = shape_parameter(
+        0.76, 0.2, 2.0, "Hz", "tanks 0.2 to 3 m long; 0.76 for a tank 1 m long and 0.3 m deep"
+    )
+    """f, frequency."""
 
     def velocity(self, t):
         angle = 2.0 * math.pi * self.frequency * t

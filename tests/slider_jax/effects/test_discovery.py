@@ -19,7 +19,7 @@ FILE = '''"""Friction along the body."""
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import ForceDensity, parameter
+from slider_jax.effects.base import ForceDensity, parameter, shape_parameter
 
 
 class WallFriction(ForceDensity):
@@ -28,6 +28,7 @@ class WallFriction(ForceDensity):
     title = "friction at a wall"
 
     c: Scalar = parameter(0.0, 0.0, 10.0, "N s/m^2", "the range of this test")
+    width: Scalar = shape_parameter(0.1, 0.01, 1.0, "m/s", "the range of this test")
 
     def force(self, x):
         return -self.c * x.u_tau, jnp.zeros_like(x.u_n)
@@ -68,11 +69,16 @@ def test_an_effect_of_one_file_outside_the_package_acts_in_an_experiment(tmp_pat
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("def force(self, x):", "def force(self, x)", "line 16: invalid Python: expected ':'"),
+        ("def force(self, x):", "def force(self, x)", "line 17: invalid Python: expected ':'"),
         ("import jax.numpy", "import no_such_module", "cannot be imported: ModuleNotFoundError"),
         ("def force(", "def push(", "defines no effect"),
         ('title = "friction at a wall"', "", "WallFriction: has no title"),
-        ("parameter(0.0, 0.0, 10.0, ", "parameter(", "missing 3 required positional arguments"),
+        ("= parameter(0.0, 0.0, 10.0, ", "= parameter(", "missing 3 required positional arguments"),
+        (
+            "_parameter(0.1,",
+            "_parameter(2.0,",
+            "WallFriction.width: given default 2, prior 0.01 to",
+        ),
         ('parameter(0.0, 0.0, 10.0, "N s/m^2", "the range of this test")', "0.0", "no parameter"),
         ("parameter(0.0,", "parameter(-1.0,", "WallFriction.c: given null -1, prior 0 to 10"),
         ("class WallFriction", "class HeadDrag", "HeadDrag: the effect 'head_drag' exists"),

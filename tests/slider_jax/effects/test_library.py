@@ -25,8 +25,10 @@ from tests.support.helpers import SMALL, arrays
 
 SENSORS = ("pressure", "pressure", "thrust", "recoil", "tip")
 """Sensors of the rows of `readings`."""
-ENTRIES = [(name, parameter) for name, kind in LIBRARY.items() for parameter in kind.priors()]
-PRIORS = [LIBRARY[name].priors()[parameter] for name, parameter in ENTRIES]
+PARAMETERS = {name: kind.priors() | kind.shapes() for name, kind in LIBRARY.items()}
+ENTRIES = [(name, parameter) for name, mine in PARAMETERS.items() for parameter in mine]
+"""Parameters and shape parameters of all effects. The `null` of a shape is its default."""
+PRIORS = [PARAMETERS[name][parameter] for name, parameter in ENTRIES]
 NULL = np.array([prior.null for prior in PRIORS])
 TIMES = TimeGrid.per_stride(4.0, 60, 1)
 
@@ -57,7 +59,7 @@ def extended(theta):
     values = dict(zip(ENTRIES, theta, strict=True))
     return readings(
         tuple(
-            kind(**{parameter: values[name, parameter] for parameter in kind.priors()})
+            kind(**{parameter: values[name, parameter] for parameter in PARAMETERS[name]})
             for name, kind in LIBRARY.items()
         )
     )
@@ -109,7 +111,12 @@ WITH_START = {
 }
 """Effects with a start, because their tangent at the null does not predict their action."""
 FREE_HEAD_ONLY = {"head_added_mass"}
-AT_NULL = [i for i, (name, _) in enumerate(ENTRIES) if name not in WITH_START | FREE_HEAD_ONLY]
+SHAPES = [i for i, (name, x) in enumerate(ENTRIES) if x in LIBRARY[name].shapes()]
+AT_NULL = [
+    i
+    for i, (name, _) in enumerate(ENTRIES)
+    if name not in WITH_START | FREE_HEAD_ONLY and i not in SHAPES
+]
 
 
 @pytest.fixture(params=AT_NULL, ids=[".".join(ENTRIES[i]) for i in AT_NULL])
@@ -130,7 +137,7 @@ def at_start(name, entry, steps=0.0):
 
 @pytest.mark.parametrize("name", sorted(WITH_START))
 def test_effect_at_its_start_changes_only_the_declared_sensors(name):
-    mine = [i for i, (other, _) in enumerate(ENTRIES) if other == name]
+    mine = [i for i, (other, _) in enumerate(ENTRIES) if other == name and i not in SHAPES]
     change = at_start(name, mine[0])[0] - bare()
     share = largest(change) / largest(bare())
     declared = np.array([x in LIBRARY[name].sensors for x in SENSORS])
@@ -142,7 +149,7 @@ def test_effect_at_its_start_changes_only_the_declared_sensors(name):
 @pytest.mark.parametrize("name", sorted(WITH_START))
 def test_tangents_at_the_start_are_the_finite_differences(name):
     """Less strict than at a null, because the corner of a limit is between two steps."""
-    for i in (i for i, (other, _) in enumerate(ENTRIES) if other == name):
+    for i in (i for i, (other, _) in enumerate(ENTRIES) if other == name and i not in SHAPES):
         step = 1e-4
         tangent = at_start(name, i)[1]
         found = (at_start(name, i, step)[0] - at_start(name, i, -step)[0]) / (2.0 * step)
@@ -160,6 +167,27 @@ def test_tangent_at_the_null_changes_only_the_declared_sensors(entry):
     declared = np.array([x in LIBRARY[ENTRIES[entry][0]].sensors for x in SENSORS])
     assert share[declared].max() > 1e-6
     assert share[~declared].max(initial=0.0) <= 1e-9 * share.max()
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=[".".join(ENTRIES[i]) for i in SHAPES])
+def test_a_shape_parameter_acts_only_while_its_effect_does(shape):
+    """At half of an effect's range, its tangent is the difference; at the null, it vanishes."""
+    assert not value_and_tangent(shape)[1].any()
+    name, theta, along = ENTRIES[shape][0], NULL.copy(), np.zeros_like(NULL)
+    for i, (other, parameter) in enumerate(ENTRIES):
+        if other == name and parameter in LIBRARY[name].priors():
+            theta[i] = 0.5 * (PRIORS[i].null + PRIORS[i].high)
+    along[shape] = PRIORS[shape].high - PRIORS[shape].low
+
+    def at(step):
+        return tuple(np.asarray(x) for x in _moved(jnp.asarray(theta + step * along), along))
+
+    tangent, step = at(0.0)[1], 1e-4
+    found = (at(step)[0] - at(-step)[0]) / (2.0 * step)
+    assert np.isfinite(tangent).all()
+    assert (largest(tangent) / largest(bare())).max() > 1e-4
+    off, allowed = largest(found - tangent), 1e-2 * largest(tangent) + 1e-6 * largest(bare())
+    assert (off <= allowed).all(), (off, allowed)
 
 
 def difference(entry, step):
@@ -195,3 +223,15 @@ def test_declares_what_reports_and_searches_need(name):
         assert prior.low < prior.high, parameter
         assert prior.unit and prior.why, parameter
         assert getattr(kind(), parameter) == prior.null
+    assert len(kind.shapes()) <= 2
+    for parameter, shape in kind.shapes().items():
+        assert shape.low < shape.null < shape.high, parameter
+        assert shape.unit and shape.why, parameter
+        assert getattr(kind(), parameter) == shape.null
+
+
+def test_only_effects_of_the_body_name_the_segments_that_they_change():
+    for name, kind in LIBRARY.items():
+        inside = kind.__module__.split(".")[-2] == "body" and kind.place() != "Mounting"
+        assert set(kind.segments) <= {"body", "tail"}, name
+        assert bool(kind.segments) == inside, name

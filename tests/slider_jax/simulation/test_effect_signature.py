@@ -59,6 +59,16 @@ def test_one_effect_is_explained_with_equation_source_priors_and_table(capsys):
         assert part in text
 
 
+def test_shape_parameters_and_segments_are_listed_apart_from_the_priors(capsys):
+    text = said(capsys, "stress_relaxation")
+    parameters, shapes = text.split("\nparameters\n")[1].split("\nshape parameters ")
+    assert "E_1" in parameters and "tau" not in parameters
+    assert "  tau  0.02 to 2 s, default 0.1  half of a stride" in shapes
+    assert "acts on: body\n" in text
+    plain = said(capsys, "valve_delay")
+    assert "shape parameters" not in plain and "acts on" not in plain
+
+
 @pytest.mark.parametrize("name", LIBRARY)
 def test_every_effect_can_be_explained_and_added_as_it_says(name, capsys, tmp_path):
     table = said(capsys, name).split("example for an experiment or model file\n")[1]
