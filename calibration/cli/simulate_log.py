@@ -20,7 +20,7 @@ from slider_jax.dynamics.step import Carry, at_rest
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, drag_and_added_mass
 from slider_jax.experiment.prepare import divided_step, prepare
-from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
+from slider_jax.io.files import input_file, provenance, staged, write_csv, write_json
 from slider_jax.simulation.trial import SavedSeries, advance_chunk, run_chunks
 
 CHUNK = 125
@@ -165,6 +165,6 @@ def log_summary(
         "definitions": DEFINITIONS,
         "findings": [str(finding) for finding in log.findings],
         "seed": None,
-        "versions": versions(),
+        **provenance(),
         "settings": experiment.model_dump(),
     }

@@ -28,6 +28,7 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
         title=outcome.experiment.name,
         record=record,
         sources=_sources(record["input"]),
+        effect_files=_sources({"logs": record["effect_files"]}),
         errors=_errors(record["errors"]),
         held_out=_errors(record["held_out"]),
         floor_ratio=np.sqrt(settings.noise_floor),

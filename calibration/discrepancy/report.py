@@ -12,7 +12,7 @@ from calibration.model.extended import base_values
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
 from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import LIBRARY
-from slider_jax.io.files import versions
+from slider_jax.io.files import provenance
 from slider_jax.io.toml import toml_text
 
 
@@ -46,7 +46,7 @@ def loop_record(
         "left_over_noise": {c: np.sqrt(x.all) for c, x in outcome.excess.items()},
         "seconds": seconds,
         "input": source,
-        "versions": versions(),
+        **provenance(),
         "settings": outcome.experiment.model_dump(),
         "selection_settings": asdict(outcome.search.settings),
     }

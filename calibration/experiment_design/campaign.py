@@ -18,7 +18,7 @@ from calibration.inference.cache import input_settings, resumable
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, load
 from slider_jax.experiment.schema import Trial
-from slider_jax.io.files import input_file, write_json, write_text
+from slider_jax.io.files import input_file, refuse_changed_effect_files, write_json, write_text
 
 Capture = Callable[[tuple[Trial, ...]], None]
 """Function that writes the files of the given trials to the experiment's folder."""
@@ -86,6 +86,7 @@ def run_campaign(
             outcome = close(experiment, progress=progress, memo=memo, kept=_chosen(out))
             following = next_experiment(outcome, progress, limits(experiment) if limits else None)
             record = loop_record(outcome, 0.0, input_file(path), following)
+            refuse_changed_effect_files()
             write_json(out / f"round_{count:02d}.json", record)
         rounds.append(
             {"trials": count, "verdict": outcome.verdict, "effects": list(outcome.effects)}

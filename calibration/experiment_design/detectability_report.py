@@ -18,7 +18,7 @@ from calibration.experiment_design.information import FINITE_START
 from calibration.model.extended import candidate_effects
 from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.io.files import versions
+from slider_jax.io.files import provenance
 
 NOTES = {
     "limit": "distance from the null at which nine of ten experiments detect the effect. Detection "
@@ -58,7 +58,7 @@ def detectability_record(m: DetectabilityMatrix, source: dict[str, Any]) -> dict
         "definitions": NOTES,
         "resolution": vars(m.information.coarse),
         "input": source,
-        "versions": versions(),
+        **provenance(),
         "settings": experiment.model_dump(),
     }
 

@@ -26,7 +26,7 @@ from slider_jax.channels import BUILT_IN, CHANNELS
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import refuse_unknown
 from slider_jax.experiment.load import Experiment
-from slider_jax.io.files import versions
+from slider_jax.io.files import provenance
 from slider_jax.io.toml import toml_text
 
 METHODS = {"lm": fit_gauss_newton, "lbfgs": fit_lbfgs}
@@ -138,7 +138,7 @@ def identification_record(found: Identified, source: dict[str, Any]) -> dict[str
         "audit": [x._asdict() for x in found.audit],
         "units": {name: CHANNELS[name].unit for name in CHANNELS},
         "input": source,
-        "versions": versions(),
+        **provenance(),
         "settings": found.experiment.model_dump(),
     }
 

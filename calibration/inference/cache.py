@@ -15,8 +15,7 @@ import numpy as np
 
 import calibration
 import slider_jax
-from slider_jax.effects.library import LOADED_FILES
-from slider_jax.io.files import input_file, replacing, tentative_folder, versions
+from slider_jax.io.files import effect_files, input_file, replacing, tentative_folder, versions
 
 
 @dataclass(frozen=True)
@@ -52,12 +51,16 @@ def cached(
 
 
 def source_digest() -> str:
-    """Returns the SHA-256 digest of the source files of both packages and of `LOADED_FILES`."""
+    """Returns the SHA-256 digest of the source files of both packages."""
     folders = [Path(str(package.__file__)).parent for package in (slider_jax, calibration)]
     digest = hashlib.sha256()
-    for path in (*(x for folder in folders for x in sorted(folder.rglob("*.py"))), *LOADED_FILES):
+    for path in (x for folder in folders for x in sorted(folder.rglob("*.py"))):
         digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def _digest(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def input_settings(paths: Sequence[Path], folder: Path | None = None) -> dict[str, Any]:
@@ -70,11 +73,11 @@ def input_settings(paths: Sequence[Path], folder: Path | None = None) -> dict[st
 def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
     """Yields a cache under `out` for a run with `settings`; deletes the cache if the run succeeds.
 
-    A run with the same settings and program version resumes with the cache of an interrupted run.
+    A run with the same settings, program version and effect files resumes with the cache of an
+    interrupted run.
     """
-    versioned = settings | {"versions": versions(), "code": source_digest()}
-    key = hashlib.sha256(json.dumps(versioned, sort_keys=True).encode()).hexdigest()
-    name = f".unfinished-{key[:16]}"
+    run = f".unfinished-{_digest(settings | {'versions': versions(), 'code': source_digest()})}"
+    name = f"{run}-{_digest(effect_files())}"
     with tentative_folder(out) as parent:
         folder = parent / name
         if folder.exists():
@@ -82,6 +85,11 @@ def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
         for other in sorted(parent.glob(".unfinished-*")):
             if other != folder:
                 cause = "cache of a run with other settings, data or program version"
+                if other.name.startswith(run):
+                    cause = (
+                        "cache of this run with other effect files or with other content of these "
+                        "files, so this run starts from the beginning"
+                    )
                 print(f"{other}: {cause}; delete the folder if that run has ended", file=sys.stderr)
         folder.mkdir(exist_ok=True)
         try:

@@ -2,8 +2,9 @@
 
 import inspect
 
-from slider_jax.cli.effects import PLACES, place_of
+from slider_jax.cli.effects import place_of
 from slider_jax.effects import Prior
+from slider_jax.effects.check import PLACES
 from slider_jax.effects.library import LIBRARY
 
 PAGE = "reference/effects.md"

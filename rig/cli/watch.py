@@ -29,7 +29,7 @@ from slider_jax.channels import BUILT_IN
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
-from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
+from slider_jax.io.files import input_file, provenance, staged, write_csv, write_json
 
 POLL_INTERVAL = 0.01
 """Time between queries of the live stream [s]."""
@@ -115,7 +115,7 @@ def rig_watch(
         log.print_summary()
         if out is not None and log.rows:
             source = {"input": input_file(experiment), "rig": settings.model_dump(mode="json")}
-            log.write(out, {"lost": playing.lost, **source, "versions": versions()})
+            log.write(out, {"lost": playing.lost, **source, **provenance()})
     return 1 if log.alarms else 0
 
 
@@ -186,7 +186,7 @@ class WatchLog:
 
     def write(self, out: Path, beside: dict[str, Any]) -> None:
         """Writes watch.csv and watch.json. The entries of `beside` are added to watch.json."""
-        with staged(out) as stage:
+        with staged(out, measured=True) as stage:
             columns = {k: np.array([r[k] for r in self.rows]) for k in self.rows[0]}
             write_csv(stage / "watch.csv", columns)
             content = {"alarms": self.alarms, "t_0_device_s": self.begun, "ended": self.ended}

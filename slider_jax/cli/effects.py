@@ -7,24 +7,11 @@ from typing import Annotated
 
 import tyro
 
-from slider_jax import effects
 from slider_jax.cli.options import MaybeFolder
 from slider_jax.effects import Effect, Prior
+from slider_jax.effects.check import PLACES
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError, did_you_mean
-
-PLACES = (
-    effects.Command,
-    effects.Flow,
-    effects.ActingPressure,
-    effects.BodyChange,
-    effects.BendingMoment,
-    effects.Mounting,
-    effects.ForceDensity,
-    effects.WaterMotion,
-    effects.Instrument,
-)
-"""The places of the model at which an effect acts, in the order from the valves to the sensors."""
 
 NameArgument = Annotated[
     tyro.conf.Positional[str | None], tyro.conf.arg(metavar="NAME", help_behavior_hint="")

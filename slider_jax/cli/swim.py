@@ -127,7 +127,7 @@ def _run(
     `check` raises `InputError` for an invalid trial. `simulated(trial, stem, say)` draws files
     whose paths begin with `stem`, and returns the trial's record, CSV columns and printed lines.
     """
-    from slider_jax.io.files import input_files, staged, versions, write_csv, write_json
+    from slider_jax.io.files import input_files, provenance, staged, write_csv, write_json
 
     trials = chosen_trials(given.trials, trial)
     if inputs[0] is not None:
@@ -151,7 +151,7 @@ def _run(
             **values,
             "experiment": given.model_dump(),
             "inputs": input_files(*inputs),
-            "versions": versions(),
+            **provenance(),
         }
         write_json(stage / f"{command}.json", content)
     print(f"wrote {command}.json and the files of each trial to {out}", file=sys.stderr)

@@ -1,95 +1,111 @@
 """The library of effects: a dictionary from names to classes. This module imports all effects."""
 
+import hashlib
 import importlib
-import importlib.util
-import inspect
 import sys
+from collections.abc import Iterable, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
 from pkgutil import walk_packages
 from types import ModuleType
 
 from slider_jax import effects
 from slider_jax.effects.base import Effect
+from slider_jax.effects.check import checked_effects, defined_effects, is_complete
 from slider_jax.errors import InputError
+from slider_jax.io.files import LOADED_FILES
 
-
-def defined_effects(module: ModuleType) -> list[type[Effect]]:
-    """Returns the concrete effects that `module` defines, such as a subclass of `Flow`."""
-    kinds = [x for x in vars(module).values() if isinstance(x, type) and issubclass(x, Effect)]
-    kinds = [x for x in kinds if x.__module__ == module.__name__ and not inspect.isabstract(x)]
-    return [x for x in kinds if Effect not in (x, *x.__bases__)]
+ENTRY_POINTS = "slider_jax.effects"
+"""Group of the entry points with which an installed package names its modules of effects."""
 
 
 def _built_in() -> dict[str, type[Effect]]:
-    """Returns the effects of this package, except the effects that every model contains."""
+    """Returns the effects of this package by name, also those that every model contains."""
     found = [m.name for m in walk_packages(effects.__path__, f"{effects.__name__}.")]
     modules = [importlib.import_module(name) for name in found if name != __name__]
-    kinds = [kind for module in modules for kind in defined_effects(module)]
+    kinds = [kind for module in modules for kind in defined_effects(module) if is_complete(kind)]
     kinds.sort(key=lambda kind: (kind.order, kind.name()))
-    return {kind.name(): kind for kind in kinds if not kind.in_every_model}
+    return {kind.name(): kind for kind in kinds}
 
 
-LIBRARY: dict[str, type[Effect]] = _built_in()
-LOADED_FILES: list[Path] = []
-"""Files from which `load_effects` added effects to the library."""
+_BUILT_IN = _built_in()
+LIBRARY: dict[str, type[Effect]] = {k: x for k, x in _BUILT_IN.items() if not x.in_every_model}
+_HOMES = dict.fromkeys(_BUILT_IN, "slider_jax")
+"""The file or package that defines each effect, for messages."""
 
 
 def load_effects(path: Path) -> list[str]:
     """Adds the effects that the Python file `path` defines to `LIBRARY`, and returns their names.
 
     The file runs as Python code, so load only files that you trust. Raises `InputError` and adds no
-    effect if the file cannot be imported or defines no effect, or if one of the effects is invalid.
-    An effect is invalid if it has no title or no parameter, if a null or the default of a shape
-    parameter is outside the prior range, or if another effect has the same name.
+    effect if the file cannot be imported, or if `checked_effects` refuses one of the effects.
     """
-    module_name = f"_effects_of_{path.stem}"
-    spec = importlib.util.spec_from_file_location(module_name, path)
-    if spec is None or spec.loader is None:
+    if path.suffix != ".py":
         raise InputError(f"{path}: is not a Python file; give a file whose name ends in .py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module  # dataclasses look up annotations in sys.modules
+    module = ModuleType(f"_effects_of_{path.stem}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # dataclasses look up annotations in sys.modules
     try:
-        spec.loader.exec_module(module)
-        kinds = defined_effects(module)
-        _check_effects(path, kinds)
-    except InputError:
-        raise
+        source = path.read_bytes()
+        # Python's cache of compiled files could be older than `source`, so `exec` runs the source.
+        exec(compile(source, str(path), "exec"), vars(module))
     except SyntaxError as error:
         raise InputError(f"{path}: line {error.lineno}: invalid Python: {error.msg}") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except Exception as error:  # the file's own code may raise anything
-        kind = type(error).__name__
-        raise InputError(f"{path}: cannot be imported: {kind}: {error}") from error
+        raise _cannot_be_imported(str(path), error) from error
     finally:
-        del sys.modules[module_name]
+        del sys.modules[module.__name__]
+    return _add(module, str(path), {path: source})
+
+
+def load_installed_effects() -> list[str]:
+    """Adds the effects of installed packages to `LIBRARY`, and returns the names of new effects.
+
+    A package names a module of effects with an entry point of the group `slider_jax.effects`.
+    Raises `InputError` if a module cannot be imported, or if an effect is invalid.
+    """
+    added = []
+    for entry in sorted(entry_points(group=ENTRY_POINTS), key=lambda x: (x.value, x.name)):
+        where = f"entry point {entry.name} = {entry.value} (group {ENTRY_POINTS})"
+        try:
+            module = entry.load()
+        except Exception as error:  # the package's own code may raise anything
+            raise _cannot_be_imported(where, error) from error
+        if not isinstance(module, ModuleType):
+            raise InputError(f"{where}: names no module; give the module that defines the effects")
+        # The effects of a package are already in the library if the function ran before.
+        if not any(kind in LIBRARY.values() for kind in defined_effects(module)):
+            added += _add(module, where, {path: path.read_bytes() for path in _sources(module)})
+    return added
+
+
+def load_all_effects(files: Iterable[Path]) -> None:
+    """Adds the effects of installed packages and of `files` to `LIBRARY`, as the commands do."""
+    load_installed_effects()
+    for path in files:
+        load_effects(path)
+
+
+def _cannot_be_imported(where: str, error: Exception) -> InputError:
+    text = " ".join(str(error).split())
+    return InputError(f"{where}: cannot be imported: {type(error).__name__}: {text}")
+
+
+def _sources(module: ModuleType) -> Sequence[Path]:
+    """Returns the source files of the top-level package that contains `module`."""
+    top = sys.modules[module.__name__.split(".")[0]]
+    folders = [Path(folder) for folder in getattr(top, "__path__", ())]
+    files = [path for folder in folders for path in sorted(folder.rglob("*.py"))]
+    return files or [Path(str(module.__file__))]
+
+
+def _add(module: ModuleType, where: str, sources: dict[Path, bytes]) -> list[str]:
+    taken = {name: _HOMES.get(name, "the library") for name in (*_BUILT_IN, *LIBRARY)}
+    kinds = checked_effects(module, where, taken)
     LIBRARY.update({kind.name(): kind for kind in kinds})
-    LOADED_FILES.append(path.resolve())
+    _HOMES.update({kind.name(): where for kind in kinds})
+    for path, source in sources.items():
+        LOADED_FILES[path.resolve()] = hashlib.sha256(source).hexdigest()
     return [kind.name() for kind in kinds]
-
-
-def _check_effects(path: Path, kinds: list[type[Effect]]) -> None:
-    """Raises `InputError` if the file `path` defines no effect or an invalid effect."""
-    if not kinds:
-        raise InputError(
-            f"{path}: defines no effect; define a class that is derived from a base class of "
-            "slider_jax.effects, and define the abstract method of the base class"
-        )
-    for kind in kinds:
-        where = f"{path}: {kind.__name__}"
-        if kind.name() in LIBRARY:
-            raise InputError(f"{where}: the effect {kind.name()!r} exists; change the class name")
-        if not kind.title:
-            raise InputError(f'{where}: has no title; add title = "name of the effect in reports"')
-        if not kind.priors():
-            raise InputError(
-                f"{where}: has no parameter with null and prior range; declare a field with "
-                "parameter(null, low, high, unit, why)"
-            )
-        for noun, priors in (("null", kind.priors()), ("default", kind.shapes())):
-            for name, prior in priors.items():
-                if not (prior.low <= prior.null <= prior.high and prior.low < prior.high):
-                    raise InputError(
-                        f"{where}.{name}: given {noun} {prior.null:g}, prior {prior.low:g} to "
-                        f"{prior.high:g}; allowed are low < high and a {noun} in this range"
-                    )

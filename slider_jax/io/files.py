@@ -1,4 +1,4 @@
-"""Writes result files atomically, and returns versions and input digests for result files.
+"""Writes result files atomically, and returns versions and file digests for result files.
 
 A file is written under a temporary name and then renamed, so no file is ever incomplete.
 """
@@ -19,6 +19,9 @@ import numpy as np
 
 import slider_jax
 from slider_jax.errors import InputError
+
+LOADED_FILES: dict[Path, str] = {}
+"""SHA-256 digests of the files from which effects were loaded, at the time of loading."""
 
 
 def output_folder(path: Path | str) -> Path:
@@ -67,12 +70,18 @@ def replacing(path: Path | str) -> Iterator[Path]:
 
 
 @contextmanager
-def staged(folder: Path | str) -> Iterator[Path]:
-    """Yields a temporary folder. Its files move into `folder` if no error follows."""
+def staged(folder: Path | str, measured: bool = False) -> Iterator[Path]:
+    """Yields a temporary folder. Its files move into `folder` if no error follows.
+
+    Raises `InputError` if an effect file has changed, as `refuse_changed_effect_files` does. With
+    `measured`, the files contain measurements, which must not be lost, and this check is omitted.
+    """
     with tentative_folder(folder) as out:
         stage = Path(tempfile.mkdtemp(dir=out, prefix=".tmp-"))
         try:
             yield stage
+            if not measured:
+                refuse_changed_effect_files()
             for item in sorted(stage.rglob("*")):
                 target = out / item.relative_to(stage)
                 if item.is_dir():
@@ -155,3 +164,27 @@ def input_file(path: Path | str) -> dict[str, Any]:
 def input_files(*paths: Path | None) -> list[dict[str, Any]]:
     """Returns `input_file` of each path that is not None."""
     return [input_file(path) for path in paths if path is not None]
+
+
+def effect_files() -> list[dict[str, Any]]:
+    """Returns path and SHA-256 digest of each file from which effects were loaded."""
+    return [{"path": str(path), "sha256": digest} for path, digest in LOADED_FILES.items()]
+
+
+def provenance() -> dict[str, Any]:
+    """Returns the versions and the effect files with which a result was computed."""
+    return {"versions": versions(), "effect_files": effect_files()}
+
+
+def refuse_changed_effect_files() -> None:
+    """Raises `InputError` if an effect file has changed since effects were loaded from it."""
+    for path, digest in LOADED_FILES.items():
+        try:
+            changed = input_file(path)["sha256"] != digest
+        except OSError:
+            changed = True
+        if changed:
+            raise InputError(
+                f"{path}: the effect file has changed or is missing since the command loaded it, "
+                "so no result is written; restore the file, or repeat the command with the new file"
+            )

@@ -11,7 +11,7 @@ import numpy as np
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.io.files import staged, versions, write_json, write_text
+from slider_jax.io.files import provenance, staged, write_json, write_text
 from slider_jax.optimise.design_space import (
     VARIABLES,
     GaitBounds,
@@ -95,7 +95,7 @@ class Task(NamedTuple):
             "nodes": self.search.numerics.nodes,
             "search": {name: x for name, x in search.items() if isinstance(x, (int, float))},
             "scheme": self.search.scheme.name,
-            "versions": versions(),
+            **provenance(),
         }
 
 

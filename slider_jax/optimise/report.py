@@ -11,7 +11,7 @@ import numpy as np
 from slider_jax.climbing.climb import simulate_climb
 from slider_jax.experiment.load import to_numerics
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.io.files import staged, versions, write_json, write_text
+from slider_jax.io.files import provenance, staged, write_json, write_text
 from slider_jax.optimise.design_space import to_toml, with_gait
 from slider_jax.optimise.pareto_front import Front, dominated
 from slider_jax.optimise.two_tasks import NAMES, TwoTasks, swim_efficiency
@@ -82,7 +82,7 @@ def write_front(
         "effort": effort,
         "settings": modes.settings(),
         "inputs": inputs,
-        "versions": versions(),
+        **provenance(),
     }
     with staged(folder) as stage:
         for row, point in zip(found, front.points, strict=True):

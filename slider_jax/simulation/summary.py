@@ -7,7 +7,7 @@ import numpy as np
 
 from slider_jax.channels import CHANNELS
 from slider_jax.experiment.load import Experiment, drag_and_added_mass
-from slider_jax.io.files import input_file, versions
+from slider_jax.io.files import input_file, provenance
 from slider_jax.simulation.trial import TrialRun
 
 DEFINITIONS = {
@@ -125,7 +125,7 @@ def simulation_summary(
         "input": input_file(path),
         "model": None if model is None else input_file(model),
         "seed": None,
-        "versions": versions(),
+        **provenance(),
         "trials": trials,
         "definitions": DEFINITIONS,
         "settings": experiment.model_dump(),

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
+from slider_jax.io.files import input_file, provenance, staged, write_csv, write_json
 from slider_jax.sweep.sweep import Axis, Sweep, digest
 
 DRAWN = (
@@ -52,7 +52,7 @@ def write_sweep(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, source
         "input": input_file(source),
         "seed": None,
         "failed_rows": np.flatnonzero(np.isnan(table[plotted_columns(sweep)[0][0]])),
-        "versions": versions(),
+        **provenance(),
     }
     with staged(folder) as stage:
         write_csv(stage / "sweep.csv", table)

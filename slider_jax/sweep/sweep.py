@@ -22,7 +22,7 @@ from slider_jax.batch.strides import (
 )
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
-from slider_jax.io.files import versions, write_json
+from slider_jax.io.files import provenance, write_json
 from slider_jax.io.toml import field_at, quantity_of
 from slider_jax.swimming.gait import to_swimmer
 from slider_jax.swimming.performance import compile_swim, performance_table
@@ -87,7 +87,7 @@ class Sweep(NamedTuple):
             "transient": self.transient,
             "steps_per_stride": self.steps_per_stride,
             "swim": self.swim,
-            "versions": versions(),
+            **provenance(),
         }
         return json.loads(json.dumps(content))
 

@@ -1,6 +1,7 @@
 """The loop on simulated tanks with known effects, few candidates and a coarse mesh."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from calibration.inference.gauss_newton import GAIN_TOLERANCE
 from calibration.measurements.synthetic import Truth, write_tank
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
+from slider_jax.io.files import LOADED_FILES
 from tests.support.damage import RUNS as DAMAGE_RUNS, write_experiment
 from tests.support.small_tank import BASE, CANDIDATES, MESH, RUNS, TANK, close_small_tank
 
@@ -60,7 +62,8 @@ def test_held_out_trials_are_predicted_at_the_noise_floor(delayed):
     assert delayed.held_out["p_front"]["before"] > 5 * delayed.held_out["p_front"]["after"]
 
 
-def test_the_report_is_complete_and_the_model_file_loads(delayed, tmp_path):
+def test_the_report_is_complete_and_the_model_file_loads(delayed, tmp_path, monkeypatch):
+    monkeypatch.setitem(LOADED_FILES, Path("wall.py"), 4 * "123456")
     record = json.loads(json.dumps(loop_record(delayed, 1.0, SOURCE), default=float))
     assert record["verdict"] == "identified" and record["effects"][0]["name"] == "valve_delay"
     assert set(record["parameters"]) == {"C_d", "m_a", "k", "K_Q"}
@@ -73,6 +76,8 @@ def test_the_report_is_complete_and_the_model_file_loads(delayed, tmp_path):
     html = loop_page(delayed, record)
     assert html.count("data:image/png") == 2 and "valve_delay" in html
     assert "Verdict: identified. Data: tank.toml (sha256 abcdefabcdef)" in html
+    assert record["effect_files"] == [{"path": "wall.py", "sha256": 4 * "123456"}]
+    assert "Effect files: wall.py (sha256 123456123456)" in html
     (line,) = parameter_lines(record)
     assert line.startswith("valve_delay.delay = 0.0") and line.endswith(") s")
     assert error_lines(record)[0].startswith("p_front, held-out trials: rms ")

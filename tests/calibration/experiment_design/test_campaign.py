@@ -14,6 +14,7 @@ from calibration.experiment_design.trial_search import limits_of
 from calibration.measurements.synthetic import Truth, write_tank
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
+from slider_jax.io.files import LOADED_FILES
 from tests.support.small_tank import BASE, MESH, RUNS, TANK
 
 pytestmark = pytest.mark.optimised
@@ -115,6 +116,15 @@ def test_a_class_that_no_trial_makes_smaller_is_final(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "next_experiment", lambda *a: next(answers))
     found = run_campaign(path, capture, tmp_path / "out", close=FakeLoop("class", "class"))
     assert found.settled and len(captured) == 5
+
+
+def test_a_campaign_stops_if_an_effect_file_changes(tmp_path, monkeypatch):
+    path, capture, captured = tank(tmp_path, {}, 4)
+    monkeypatch.setattr(module, "next_experiment", lambda *a: following("x.csv"))
+    monkeypatch.setitem(LOADED_FILES, tmp_path / "deleted.py", "digest")
+    with pytest.raises(InputError, match=r"deleted.py: the effect file has changed or is missing"):
+        run_campaign(path, capture, tmp_path / "out", close=FakeLoop("inconclusive"))
+    assert len(captured) == 4 and not list(tmp_path.glob("out/round*"))
 
 
 def test_measured_trials_are_not_captured_again(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """An effect is one file and nothing else, in the package or in a folder of the user's own."""
 
+import hashlib
 import re
 from pathlib import Path
 
@@ -7,42 +8,20 @@ import numpy as np
 import pytest
 
 from slider_jax import effects
-from slider_jax.effects.library import LIBRARY, LOADED_FILES, load_effects
+from slider_jax.effects.library import LIBRARY, load_effects, load_installed_effects
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import assemble
+from slider_jax.io.files import LOADED_FILES
 from slider_jax.simulation.effect_signature import built_in_experiment
 from slider_jax.simulation.trial import simulate_trial
 from tests.support.data import ROOT
-
-FILE = '''"""Friction along the body."""
-
-import jax.numpy as jnp
-
-from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import ForceDensity, parameter, shape_parameter
-
-
-class WallFriction(ForceDensity):
-    """F_tau = -c u_tau. Source: this test."""
-
-    title = "friction at a wall"
-
-    c: Scalar = parameter(0.0, 0.0, 10.0, "N s/m^2", "the range of this test")
-    width: Scalar = shape_parameter(0.1, 0.01, 1.0, "m/s", "the range of this test")
-
-    def force(self, x):
-        return -self.c * x.u_tau, jnp.zeros_like(x.u_n)
-'''
+from tests.support.own_effects import restored_library, write_effect
 
 
 @pytest.fixture(autouse=True)
 def library():
-    """Restores the library after each test."""
-    before, files = dict(LIBRARY), list(LOADED_FILES)
-    yield before
-    LIBRARY.clear()
-    LIBRARY.update(before)
-    LOADED_FILES[:] = files
+    with restored_library() as before:
+        yield before
 
 
 def simulated_thrust(c):
@@ -57,47 +36,36 @@ def simulated_thrust(c):
 def test_an_effect_of_one_file_outside_the_package_acts_in_an_experiment(tmp_path):
     with pytest.raises(InputError, match="effects.0.name: given 'wall_friction'; allowed"):
         simulated_thrust(1.0)
-    (tmp_path / "wall.py").write_text(FILE)
-    assert load_effects(tmp_path / "wall.py") == ["wall_friction"]
+    path = write_effect(tmp_path / "wall.py")
+    assert load_effects(path) == ["wall_friction"]
     assert list(LIBRARY)[-1] == "wall_friction"
-    assert LOADED_FILES[-1] == (tmp_path / "wall.py").resolve()
+    assert LOADED_FILES == {path.resolve(): hashlib.sha256(path.read_bytes()).hexdigest()}
     without, with_friction = simulated_thrust(0.0), simulated_thrust(5.0)
     assert np.isfinite(with_friction).all()
     assert with_friction.mean() < without.mean()
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("def force(self, x):", "def force(self, x)", "line 17: invalid Python: expected ':'"),
-        ("import jax.numpy", "import no_such_module", "cannot be imported: ModuleNotFoundError"),
-        ("def force(", "def push(", "defines no effect"),
-        ('title = "friction at a wall"', "", "WallFriction: has no title"),
-        ("= parameter(0.0, 0.0, 10.0, ", "= parameter(", "missing 3 required positional arguments"),
-        (
-            "_parameter(0.1,",
-            "_parameter(2.0,",
-            "WallFriction.width: given default 2, prior 0.01 to",
-        ),
-        ('parameter(0.0, 0.0, 10.0, "N s/m^2", "the range of this test")', "0.0", "no parameter"),
-        ("parameter(0.0,", "parameter(-1.0,", "WallFriction.c: given null -1, prior 0 to 10"),
-        ("class WallFriction", "class HeadDrag", "HeadDrag: the effect 'head_drag' exists"),
-    ],
-)
-def test_a_file_that_is_wrong_gets_one_error_and_adds_nothing(tmp_path, library, old, new, message):
-    assert FILE.count(old) >= 1
-    path = tmp_path / "wall.py"
-    path.write_text(FILE.replace(old, new, 1))
-    with pytest.raises(InputError, match=f"{re.escape(str(path))}: .*{re.escape(message)}"):
-        load_effects(path)
-    assert library == LIBRARY
+def test_the_effects_of_an_installed_package_join_the_library_once(tmp_path, monkeypatch):
+    info = tmp_path / "lab_effects-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-effects\nVersion: 1.0\n")
+    entry = "[slider_jax.effects]\nlab = lab_effects.wall\n"
+    (info / "entry_points.txt").write_text(entry)
+    package = tmp_path / "lab_effects"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    path = write_effect(package / "wall.py")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert load_installed_effects() == ["wall_friction"]
+    assert load_installed_effects() == []
+    assert set(LOADED_FILES) == {path.resolve(), (package / "__init__.py").resolve()}
 
-
-def test_a_missing_file_and_a_file_of_another_kind_are_refused(tmp_path):
-    with pytest.raises(InputError, match="cannot be read: No such file"):
-        load_effects(tmp_path / "missing.py")
-    with pytest.raises(InputError, match="is not a Python file"):
-        load_effects(tmp_path / "effects.toml")
+    (info / "entry_points.txt").write_text(entry.replace("lab_effects.wall", "lab_effects.door"))
+    with pytest.raises(InputError, match=r"lab = lab_effects.door .*: cannot be imported: Module"):
+        load_installed_effects()
+    (info / "entry_points.txt").write_text(entry.replace(".wall", ".wall:WallFriction"))
+    with pytest.raises(InputError, match="names no module"):
+        load_installed_effects()
 
 
 def test_the_library_holds_one_effect_for_each_file_of_a_place():

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from slider_jax.cli.effects import PLACES, place_of
+from slider_jax.cli.effects import place_of
 from slider_jax.cli.main import main
+from slider_jax.effects.check import PLACES
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import load

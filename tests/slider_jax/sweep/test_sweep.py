@@ -9,6 +9,7 @@ import pytest
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model, to_numerics
+from slider_jax.io.files import LOADED_FILES
 from slider_jax.observables import stride_means, thrust
 from slider_jax.paper import force_coefficients
 from slider_jax.sweep import sweep as sweeping
@@ -74,7 +75,7 @@ class Killed(Exception):
 
 
 def test_interrupted_sweep_goes_on_and_ends_as_an_uninterrupted_one(
-    experiment, tmp_path, one_core_chunks_of_two
+    experiment, tmp_path, one_core_chunks_of_two, monkeypatch
 ):
     task, calls = tiny(experiment), []
 
@@ -111,6 +112,9 @@ def test_interrupted_sweep_goes_on_and_ends_as_an_uninterrupted_one(
 
     with pytest.raises(InputError, match=r"other settings \(strides\)"):
         run_sweep(task._replace(strides=4), tmp_path / "a")
+    monkeypatch.setitem(LOADED_FILES, tmp_path / "wall.py", "digest")
+    with pytest.raises(InputError, match=r"other settings \(effect_files\)"):
+        run_sweep(task, tmp_path / "a")
 
 
 @pytest.mark.slow
