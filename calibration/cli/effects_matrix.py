@@ -15,7 +15,7 @@ from slider_jax.errors import InputError, refuse_unknown
 def effects_matrix(
     experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
     out: Folder,
-    effects: Names = (),
+    only: Names = (),
     separate: Names = (),
     frequency: Range = None,
     amplitude: Range = None,
@@ -33,7 +33,7 @@ def effects_matrix(
     Args:
         experiment: experiment file (.toml). Measured trials in its folder are used if they exist.
         out: folder for the results; created if missing. Files of the same name are replaced.
-        effects: names of the effects (default: the effects of --separate, or else all effects).
+        only: names of the effects (default: the effects of --separate, or else all effects).
         separate: names of two or more effects between which the next trial must discriminate
             (default: none).
         frequency: lowest and highest frequency of the next trial, in Hz (default: the range in the
@@ -59,7 +59,7 @@ def effects_matrix(
 
     candidates = candidate_effects()
     excluded = ", ".join(name for name in LIBRARY if name not in candidates)
-    for option, names in (("--effects", effects), ("--separate", separate)):
+    for option, names in (("--only", only), ("--separate", separate)):
         refuse_unknown(
             option, names, candidates, f"the names that slider effects lists, except {excluded}"
         )
@@ -76,7 +76,7 @@ def effects_matrix(
     files = (experiment, *([model] if model else []))
     with resumable(out, input_settings(files, loaded.folder)) as memo:
         progress("compiling")
-        chosen = tuple(dict.fromkeys((*effects, *separate))) or None
+        chosen = tuple(dict.fromkeys((*only, *separate))) or None
         found = detectability_matrix(loaded, chosen, progress, memo=memo)
         record = detectability_record(found, input_file(experiment))
         if within is not None:

@@ -113,7 +113,7 @@ ENTRIES = {
         "results/effects/valve_delay.png",
     ),
     "effects matrix": Entry(
-        "effects matrix tank/experiment.toml --effects valve_delay line_lag leakage "
+        "effects matrix tank/experiment.toml --only valve_delay line_lag leakage "
         "regulator_gain pressure_gain tail_stiffness --out results/matrix",
         "The picture shows the similarity of six effects and their detection limits. Dots mark "
         "pairs of effects between which the trials cannot discriminate.",

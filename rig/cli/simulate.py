@@ -11,7 +11,7 @@ import tyro
 
 from rig.simulated.bench import MADE_UP
 from rig.simulated.tank import TankState
-from slider_jax.cli.options import MaybeExperiment, ModelFile, Value, Whole
+from slider_jax.cli.options import EffectFiles, MaybeExperiment, ModelFile, Value, Whole
 from slider_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def rig_simulate(
     ] = (),
     seed: Whole = 0,
     published: bool = False,
+    effects: EffectFiles = (),
 ) -> None:
     """Simulates a manifold on a pseudo-terminal and a force sensor on the network until Ctrl-C.
 
@@ -76,8 +77,8 @@ def rig_simulate(
             raise InputError.value(name, f"{deviation:g}", "0 or more")
     if published:
         given = {
-            "an experiment": experiment, "--model": model, "--inject": inject, "--flipped": flipped,
-            "--dropped": dropped, "--force-noise": force_noise != FORCE_NOISE,
+            "an experiment": experiment, "--model": model, "--effects": effects, "--inject": inject,
+            "--flipped": flipped, "--dropped": dropped, "--force-noise": force_noise != FORCE_NOISE,
             "--tip-noise": tip_noise != TIP_NOISE, "--rig-file": rig_file != RIG_FILE,
         }  # fmt: skip
         if any(given.values()):
@@ -87,7 +88,7 @@ def rig_simulate(
         return
     _refuse_other(rig_file)
     faults = sorted((_fault(text) for text in inject), key=lambda fault: fault[2])
-    tank, inject_fault = _tank(experiment, model, [name for name, _, _ in faults])
+    tank, inject_fault = _tank(experiment, model, effects, [name for name, _, _ in faults])
 
     def at(seconds: float) -> None:
         while faults and seconds >= faults[0][2]:
@@ -181,7 +182,9 @@ def _fault(text: str) -> tuple[str, float, float]:
         ) from None
 
 
-def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
+def _tank(
+    experiment: Path | None, model: Path | None, effects: tuple[Path, ...], faults: list[str]
+):
     """Returns the simulated tank and its function `inject(name, value)` for the named `faults`."""
     from rig.protocol.messages import CHAMBERS
     from rig.simulated.tank import BenchTank
@@ -191,11 +194,13 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
             # The simulation uses one core: several threads of XLA double the time of a small step.
             os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
         from slider_jax.cli.main import prepare_jax
+        from slider_jax.effects.library import load_all_effects
         from slider_jax.experiment.load import load
         from slider_jax.realtime.faults import with_fault
         from slider_jax.realtime.plant import Plant
 
         prepare_jax()
+        load_all_effects(effects)
         loaded = load(experiment, model)
         moving = [t.file for t in loaded.trials if t.tow_speed or t.clamp_moves]
         if moving:
@@ -210,6 +215,10 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
         return RobotTank(plant), plant.inject
     if model is not None:
         raise InputError(f"--model {model}: needs an experiment file; give a file, or omit --model")
+    if effects:
+        raise InputError(
+            f"--effects {effects[0]}: needs an experiment file; give a file, or omit --effects"
+        )
     bench = BenchTank()
     allowed = {f"leak_{chamber}": i for i, chamber in enumerate(CHAMBERS)}
     for name in faults:

@@ -17,23 +17,32 @@ class Subcommand(NamedTuple):
     """Whether the name is a command and also the first word of other commands (`effects`)."""
     jax: bool = True
     """Whether the command needs JAX, which may not be installed on the rig's computer."""
+    effects: bool = False
+    """Whether `call_of` adds the option --effects, which loads effect files for the command."""
 
 
 COMMANDS = {
     "simulate": Subcommand(
         "slider_jax.cli.simulate:simulate",
         "simulates the trials of an experiment, or the thrust from a pressure log",
+        effects=True,
     ),
     "demo": Subcommand(
         "slider_jax.cli.demo:demo", "simulates the paper's frequency sweep, without an input file"
     ),
     "sweep": Subcommand(
-        "slider_jax.cli.sweep:sweep", "simulates a trial for many values of one or two parameters"
+        "slider_jax.cli.sweep:sweep",
+        "simulates a trial for many values of one or two parameters",
+        effects=True,
     ),
     "swim": Subcommand(
-        "slider_jax.cli.swim:swim", "simulates free swimming and computes the steady speed"
+        "slider_jax.cli.swim:swim",
+        "simulates free swimming and computes the steady speed",
+        effects=True,
     ),
-    "climb": Subcommand("slider_jax.cli.swim:climb", "simulates a robot that climbs a wall in air"),
+    "climb": Subcommand(
+        "slider_jax.cli.swim:climb", "simulates a robot that climbs a wall in air", effects=True
+    ),
     "optimize swim": Subcommand(
         "slider_jax.cli.optimize:optimize_swim", "optimises tail and drive for the fastest swimming"
     ),
@@ -44,6 +53,7 @@ COMMANDS = {
     "close-loop": Subcommand(
         "calibration.cli.close_loop:close_loop",
         "finds out from measured trials which effects a model lacks",
+        effects=True,
     ),
     "lamprey": Subcommand(
         "calibration.cli.lamprey:lamprey",
@@ -56,11 +66,13 @@ COMMANDS = {
     "effects matrix": Subcommand(
         "calibration.cli.effects_matrix:effects_matrix",
         "computes which effects an experiment can detect, and which it cannot discriminate",
+        effects=True,
     ),
     "effects": Subcommand(
         "slider_jax.cli.effects:list_effects",
         "lists the effects of the library, or explains one effect",
         alone=True,
+        effects=True,
     ),
     "calibrate manifold": Subcommand(
         "calibration.cli.calibrate:manifold", "fits the pressure lag to pressure logs of the rig"
@@ -70,7 +82,9 @@ COMMANDS = {
         "fits bending stiffness, damping and K_Q to bench tests in air",
     ),
     "calibrate": Subcommand(
-        "calibration.cli.calibrate_tank:tank", "fits C_d, m_a, k and K_Q to measured trials"
+        "calibration.cli.calibrate_tank:tank",
+        "fits C_d, m_a, k and K_Q to measured trials",
+        effects=True,
     ),
     "rig ports": Subcommand(
         "rig.cli.shared:rig_ports", "lists this computer's serial ports", jax=False
@@ -92,9 +106,12 @@ COMMANDS = {
     "rig watch": Subcommand(
         "rig.cli.watch:rig_watch",
         "runs the calibrated model in parallel with the rig and raises alarms",
+        effects=True,
     ),
     "rig loop": Subcommand(
-        "rig.cli.loop:rig_loop", "measures trials, finds missing effects, and adds trials"
+        "rig.cli.loop:rig_loop",
+        "measures trials, finds missing effects, and adds trials",
+        effects=True,
     ),
     "rig simulate": Subcommand(
         "rig.cli.simulate:rig_simulate",

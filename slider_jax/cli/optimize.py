@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from slider_jax.cli.options import Folder, MaybeExperiment, ModelFile, Range, Whole
+from slider_jax.cli.options import EffectFiles, Folder, MaybeExperiment, ModelFile, Range, Whole
 from slider_jax.errors import InputError
 
 Address = Annotated[str, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")]
@@ -52,6 +52,7 @@ class SearchOptions:
     coordinator: Address = ""
     processes: Whole = 1
     process: Whole = 0
+    effects: EffectFiles = ()
 
     def start(self):
         """Checks the options, starts JAX on all cores and returns the experiment."""
@@ -73,8 +74,10 @@ class SearchOptions:
         if not 0 <= self.seed < 2**32:
             raise InputError.value("--seed", self.seed, "0 to 4294967295")
         start_devices(available_cores(), self.coordinator, self.processes, self.process)
+        from slider_jax.effects.library import load_all_effects
         from slider_jax.swimming.paper_optimum import given_or, optimum
 
+        load_all_effects(self.effects)  # computes with JAX, so it follows `start_devices`
         return given_or(optimum, self.experiment, self.model)
 
     def inputs(self) -> list[dict[str, Any]]:

@@ -64,6 +64,15 @@ Value = Annotated[float, _VALUE]
 MaybeValue = Annotated[float | None, _VALUE, _DEFAULT_IN_HELP]
 Whole = Annotated[int, _WHOLE]
 MaybeWhole = Annotated[int | None, _WHOLE, _DEFAULT_IN_HELP]
+EffectFiles = Annotated[
+    tyro.conf.UseAppendAction[tuple[Path, ...]],
+    tyro.conf.arg(
+        metavar="FILE.py",
+        help="Python file that defines effects of your own; repeat the option for more files "
+        "(default: none). The file runs as Python code.",
+        help_behavior_hint="",
+    ),
+]
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")]
 Pictures = Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: pictures are drawn)")]
 

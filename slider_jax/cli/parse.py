@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import is_dataclass
 from functools import partial, wraps
+from pathlib import Path
 from typing import Any
 
 import tyro
@@ -13,24 +14,38 @@ import tyro
 # tests/slider_jax/cli/test_parse.py fails if a new tyro version changes these events.
 from tyro import _errors as tyro_errors
 
+from slider_jax.cli.commands import COMMANDS
+from slider_jax.cli.options import EffectFiles
 from slider_jax.errors import InputError, did_you_mean
+
+_EFFECTS = inspect.Parameter(
+    "effects", inspect.Parameter.KEYWORD_ONLY, default=(), annotation=EffectFiles
+)
 
 
 def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Callable[[], Any]:
     """Returns a function that calls `command` with the arguments in `words`.
 
-    Raises `InputError` for invalid arguments, and `SystemExit` after `--help`.
+    If `COMMANDS` says so for the command `name`, the words may contain the option --effects. The
+    returned function then loads the effects of installed packages and of the files first. Raises
+    `InputError` for invalid arguments, and `SystemExit` after `--help`.
     """
-    _refuse_unknown_options(command, words)
+    signature, loads = inspect.signature(command), COMMANDS[name].effects
+    if loads:
+        signature = signature.replace(parameters=[*signature.parameters.values(), _EFFECTS])
+    _refuse_unknown_options(signature, words)
 
     # tyro runs `call`, which does not run the command. Only parsing errors thus reach `refuse`.
     @wraps(command)
     def call(*arguments: Any, **options: Any) -> Callable[[], Any]:
-        return partial(command, *arguments, **options)
+        files = options.pop(_EFFECTS.name) if loads else ()
+        run = partial(command, *arguments, **options)
+        return partial(_with_effects, files, run) if loads else run
 
     # tyro prints the line breaks of a help text. This substitution joins the lines of each text.
     call.__doc__ = re.sub(r"\n {8,}", " ", inspect.getdoc(command) or "")
-    vars(call)["__signature__"] = inspect.signature(command)
+    vars(call)["__signature__"] = signature
+    call.__annotations__ = {k: x.annotation for k, x in signature.parameters.items()}
     del vars(call)["__wrapped__"]  # else tyro reads the original docstring
 
     def refuse(event: tyro_errors.ParseErrorEvent) -> None:
@@ -41,13 +56,21 @@ def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Cal
         return tyro.cli(style(call), args=words, prog=f"slider {name}")
 
 
-def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) -> None:
+def _with_effects(files: Sequence[Path], run: Callable[[], Any]) -> Any:
+    """Loads the effects of installed packages and of `files`, then runs a command."""
+    from slider_jax.effects.library import load_all_effects
+
+    load_all_effects(files)
+    return run()
+
+
+def _refuse_unknown_options(signature: inspect.Signature, words: Sequence[str]) -> None:
     """Raises `InputError` for an unknown option.
 
     Without this check, tyro takes the next word as the option's value and reports a missing file.
     """
     allowed, parameters = ["--help"], list[inspect.Parameter]()
-    for x in inspect.signature(function).parameters.values():
+    for x in signature.parameters.values():
         is_group = is_dataclass(x.annotation)
         parameters += inspect.signature(x.annotation).parameters.values() if is_group else [x]
     for parameter in parameters:

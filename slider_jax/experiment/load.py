@@ -134,7 +134,8 @@ def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = Non
     if table.name not in LIBRARY:
         raise InputError(
             f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; every model "
-            "contains drag and added mass (parameters.C_d and parameters.m_a)"
+            "contains drag and added mass (parameters.C_d and parameters.m_a); the option "
+            "--effects FILE.py adds effects of your own file"
             f"{did_you_mean(table.name, LIBRARY)}"
         )
     kind, given = LIBRARY[table.name], dict(table.model_extra or {})

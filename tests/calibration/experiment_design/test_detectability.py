@@ -273,7 +273,7 @@ def test_default_limits_are_the_ranges_of_the_trials_widened(still):
     ("options", "message"),
     [
         (["--separate", "carried_mas", "tip_mass"], "did you mean carried_mass?"),
-        (["--effects", "gravity"], "--effects: given 'gravity'"),
+        (["--only", "gravity"], "--only: given 'gravity'"),
         (["--separate", "tip_mass"], "--separate: given one effect; allowed two or more"),
         (["--frequency", "1", "2"], "--frequency: works only with --separate"),
         (["--frequency", "3", "2"], "--frequency: given 3 2; allowed LOW HIGH"),

@@ -70,7 +70,7 @@ def test_an_unknown_event_gives_one_line():
     ("words", "text"),
     [
         ((*SIMULATE, "--node", "5"), "; did you mean --nodes?"),
-        ((*SIMULATE, "--xyzzy", "5"), "--scheme, --drive"),
+        ((*SIMULATE, "--xyzzy", "5"), "--scheme, --drive, --effects"),
         (("simulat", "x.toml"), "; did you mean simulate?; see slider --help"),
         (("matrix",), "; did you mean effects matrix?; see slider --help"),
         (("rig", "chek"), "rig simulate; did you mean rig check?; see slider --help"),
