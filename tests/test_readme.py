@@ -9,9 +9,11 @@ import jax
 import pytest
 
 from slider_jax.cli.main import COMMANDS, main
+from slider_jax.effects.library import load_effects
 from slider_jax.experiment import load as experiment
 from slider_jax.sweep import sweep
 from tests.support.data import ROOT
+from tests.support.own_effects import restored_library
 
 
 def blocks(document, language):
@@ -90,6 +92,13 @@ def test_linked_files_exist():
     for document in [*ROOT.glob("*.md"), ROOT / "rig" / "firmware" / "README.md"]:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", document.read_text()):
             assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_the_skeleton_of_an_effect_passes_the_check(tmp_path):
+    path = tmp_path / "axial_drag.py"
+    path.write_text(blocks("docs/how-to/adding_an_effect.md", "python")[0])
+    with restored_library():
+        assert load_effects(path) == ["axial_drag"]
 
 
 def test_the_skeleton_of_an_effect_runs_and_brakes_by_its_closed_form():
