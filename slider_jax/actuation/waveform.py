@@ -191,3 +191,21 @@ class Shaped(Waveform):
         x = self.wave.segment(t0, t1)
         ends = (self.curve(p) for p in (x.a0, x.a1, x.b0, x.b1))
         return Segment(x.t0, x.t_break, x.t1, *ends)
+
+
+class Fading(Waveform):
+    """The set pressure exp(-rate t) wave, which decreases with the time t [s].
+
+    The unit of `rate` is 1/s. If `wave` is piecewise constant, the relative error of a segment is
+    at most (rate step)^2/8.
+    """
+
+    wave: Waveform
+    rate: Scalar
+
+    def segment(self, t0, t1):
+        x = self.wave.segment(t0, t1)
+        start, middle, end = (jnp.exp(-self.rate * t) for t in (x.t0, x.t_break, x.t1))
+        return Segment(
+            x.t0, x.t_break, x.t1, start * x.a0, middle * x.a1, middle * x.b0, end * x.b1
+        )

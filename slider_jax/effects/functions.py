@@ -1,4 +1,4 @@
-"""Functions that several effects share: smooth limits, and delays and lags of sampled series."""
+"""Functions that several effects share: smooth limits; delays, lags and resonances of series."""
 
 import jax
 import jax.numpy as jnp
@@ -81,3 +81,36 @@ def lagged_sample(
 ) -> Array:
     """Returns the last sample of `lagged`, computed from the previous samples `y` of `lagged`."""
     return lagged(x[-2:], t[-2:], tau, y[-1])[-1]
+
+
+def _resonant_next(before: tuple[Array, ...], x: Array, dt: Array, c: Scalar, b: Scalar) -> Array:
+    """Returns the next y of `resonant` from the last three y in `before`, latest first."""
+    inertia = c / dt**2
+    damping = c * b / (6.0 * dt)
+    y1, y2, y3 = before
+    held = inertia * (5.0 * y1 - 4.0 * y2 + y3)
+    held = held + damping * (18.0 * y1 - 9.0 * y2 + 2.0 * y3)
+    return (x + held) / (1.0 + 2.0 * inertia + 11.0 * damping)
+
+
+def resonant(x: Float[Array, " n"], t: Float[Array, " n"], c: Scalar, b: Scalar) -> Array:
+    """Returns the solution y of the damped oscillator c (y'' + b y') + y = x, from rest at x[0].
+
+    y is a smooth function of `c` [s^2] at c = 0. Houbolt's backward differences in time are
+    second-order and stable for any step. If the natural frequency 1/(2 pi sqrt(c)) is too high for
+    the sample rate, y equals x. `b` [1/s] is the damping rate.
+    """
+    dt = t[1] - t[0]
+
+    def body(before, x):
+        y = _resonant_next(before, x, dt, c, b)
+        return (y, *before[:2]), y
+
+    return jax.lax.scan(body, (x[0],) * 3, x)[1]
+
+
+def resonant_sample(
+    x: Float[Array, " n"], t: Float[Array, " n"], c: Scalar, b: Scalar, y: Float[Array, " m"]
+) -> Array:
+    """Returns the last sample of `resonant`, computed from the previous samples `y`."""
+    return _resonant_next((y[-1], y[-2], y[-3]), x[-1], t[-1] - t[-2], c, b)

@@ -1,12 +1,19 @@
 """Dry friction inside the body."""
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, parameter, shape_parameter
 
 FRICTION_CREEP = 1.0
 """w [1/(m s)], width of the smoothing of |d(kappa)/dt|: 1 % of the rate in a typical stride."""
+
+
+def dahl_state(memory: Array, kappa_t: Array, dt: Array, kappa_c: Scalar) -> Array:
+    """Returns the state q of `InternalFriction` after a stage; `memory` is the state before."""
+    speed = jnp.sqrt(kappa_t**2 + FRICTION_CREEP**2)
+    return (memory + dt * kappa_t / kappa_c) / (1.0 + dt * speed / kappa_c)
 
 
 class InternalFriction(BendingMoment):
@@ -34,6 +41,5 @@ class InternalFriction(BendingMoment):
     """kappa_c, curvature scale of q."""
 
     def moment(self, x, memory, dt):
-        speed = jnp.sqrt(x.kappa_t**2 + FRICTION_CREEP**2)
-        q = (memory + dt * x.kappa_t / self.kappa_c) / (1.0 + dt * speed / self.kappa_c)
+        q = dahl_state(memory, x.kappa_t, dt, self.kappa_c)
         return (1.0 - x.in_tail) * self.z_c * q, q

@@ -2,10 +2,10 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, last_sample, parameter, shape_parameter
+from slider_jax.effects.functions import resonant, resonant_sample
 
 
 class ForceResonance(Instrument):
@@ -36,31 +36,16 @@ class ForceResonance(Instrument):
     )
     """b, damping rate. With the default, the damping ratio is 0.1 for a resonance at 16 Hz."""
 
-    def follow(self, before: tuple[Array, Array, Array], F: Array, dt: Array) -> Array:
-        """Returns the next reading [N] at F [N]. `before`: last three readings, latest first."""
-        inertia = self.mass_over_stiffness / dt**2
-        damping = self.mass_over_stiffness * self.damping_rate / (6.0 * dt)
-        x1, x2, x3 = before
-        held = inertia * (5.0 * x1 - 4.0 * x2 + x3)
-        held = held + damping * (18.0 * x1 - 9.0 * x2 + 2.0 * x3)
-        return (F + held) / (1.0 + 2.0 * inertia + 11.0 * damping)
-
     def read(self, true):
-        dt = true.t[1] - true.t[0]
-
         def series(force):
-            def body(before, F):
-                x = self.follow(before, F, dt)
-                return (x, *before[:2]), x
-
-            return jax.lax.scan(body, (force[0],) * 3, force)[1]
+            return resonant(force, true.t, self.mass_over_stiffness, self.damping_rate)
 
         both = jax.vmap(series)(jnp.stack([true.thrust, true.recoil]))
         return true._replace(thrust=both[0], recoil=both[1])
 
     def read_sample(self, true, read):
         def sample(x, y):
-            return self.follow((y[-1], y[-2], y[-3]), x[-1], true.t[-1] - true.t[-2])
+            return resonant_sample(x, true.t, self.mass_over_stiffness, self.damping_rate, y)
 
         thrust, recoil = sample(true.thrust, read.thrust), sample(true.recoil, read.recoil)
         return last_sample(true)._replace(thrust=thrust, recoil=recoil)

@@ -4,9 +4,17 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import ForceDensity, parameter, shape_parameter
+
+
+def squared_KC(x: Section, f: Scalar) -> Array:
+    """Returns KC^2 of each cell for the frequency `f` [Hz], as `KeuleganCarpenterDrag` defines."""
+    U_2 = x.u_n**2 + (x.u_n_t / (2.0 * math.pi * f)) ** 2
+    return U_2 / (f * x.height) ** 2
 
 
 class KeuleganCarpenterDrag(ForceDensity):
@@ -34,11 +42,7 @@ class KeuleganCarpenterDrag(ForceDensity):
     )
     """e, exponent of the decrease."""
     KC_min: Scalar = shape_parameter(
-        0.3,
-        0.05,
-        3.0,
-        "-",
-        "0.3 is a stroke amplitude of about H/20; thick edges limit C_d earlier",
+        0.3, 0.05, 3.0, "-", "0.3 is an amplitude of H/20; thick edges limit C_d at a larger KC"
     )
     """KC_min, smallest KC. This limit keeps the drag coefficient finite."""
     stride_frequency: Scalar = eqx.field(default=5.0)
@@ -47,8 +51,7 @@ class KeuleganCarpenterDrag(ForceDensity):
     """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
-        U_2 = x.u_n**2 + (x.u_n_t / (2.0 * math.pi * self.stride_frequency)) ** 2
-        KC_2 = U_2 / (self.stride_frequency * x.height) ** 2 + self.KC_min**2
+        KC_2 = squared_KC(x, self.stride_frequency) + self.KC_min**2
         C_d = self.C * KC_2 ** (-0.5 * self.exponent)
         F_n = -0.5 * self.density * C_d * x.height * jnp.abs(x.u_n) * x.u_n
         return jnp.zeros_like(F_n), F_n

@@ -17,17 +17,31 @@ from slider_jax.effects.body.axial_flexibility import AxialFlexibility
 from slider_jax.effects.body.body_stiffness import BodyStiffness
 from slider_jax.effects.body.carried_mass import CarriedMass
 from slider_jax.effects.body.internal_friction import InternalFriction
+from slider_jax.effects.body.joint_backlash import JointBacklash
+from slider_jax.effects.body.joint_compliance import JointCompliance
 from slider_jax.effects.body.material_damping import MaterialDamping
+from slider_jax.effects.body.power_damping import PowerDamping
 from slider_jax.effects.body.rest_curvature import RestCurvature
+from slider_jax.effects.body.side_stiffness import CURVATURE_ROUNDING, SideStiffness
 from slider_jax.effects.body.stiffening import Stiffening
+from slider_jax.effects.body.stiffness_gradient import StiffnessGradient
 from slider_jax.effects.body.stress_relaxation import StressRelaxation
 from slider_jax.effects.body.surge_compliance import SurgeCompliance
 from slider_jax.effects.body.sway_compliance import SwayCompliance
+from slider_jax.effects.body.tail_damping import TailDamping
+from slider_jax.effects.body.tail_friction import TailFriction
+from slider_jax.effects.body.tail_relaxation import TailRelaxation
+from slider_jax.effects.body.tail_rest_curvature import TailRestCurvature
 from slider_jax.effects.body.tail_stiffness import TailStiffness
 from slider_jax.effects.body.tip_mass import TipMass
+from slider_jax.effects.water.amplitude_added_mass import AmplitudeAddedMass
 from slider_jax.effects.water.axial_added_mass import AxialAddedMass
+from slider_jax.effects.water.crossflow_lift import CrossflowLift
+from slider_jax.effects.water.current_buildup import CurrentBuildup
 from slider_jax.effects.water.keulegan_carpenter_drag import KeuleganCarpenterDrag
 from slider_jax.effects.water.linear_drag import LinearDrag
+from slider_jax.effects.water.linear_friction import LinearFriction
+from slider_jax.effects.water.side_drag import SideDrag
 from slider_jax.effects.water.tail_added_mass import TailAddedMass
 from slider_jax.effects.water.tail_drag import TailDrag
 from slider_jax.effects.water.tangential_friction import TangentialFriction
@@ -140,9 +154,9 @@ def test_a_bent_body_rests_at_its_curvature_and_its_tail_is_straight():
 
 
 def moments(effect, kappa, dt):
-    """Moment (n,) [N m] of the body along a curvature (n,) that starts at zero, by Euler's steps.
+    """Moment (n,) [N m] along a curvature (n,) that starts at zero, by Euler's steps.
 
-    The last cell's; the tail's is required to be zero.
+    The moment must be the same in all cells of the effect's segments, and zero in other cells.
     """
     x = rigid(SMALL)
 
@@ -155,14 +169,19 @@ def moments(effect, kappa, dt):
         return (memory, now), moment
 
     _, series = jax.lax.scan(step, (jnp.zeros_like(x.s), jnp.asarray(0.0)), kappa)
-    assert not np.any(series[:, : SMALL.tail_cells])
-    return np.asarray(series[:, -1])
+    parts = dict(zip(("tail", "body"), np.split(series, [SMALL.tail_cells], axis=1), strict=True))
+    moment = np.asarray(parts[effect.segments[0]][:, 0])
+    for name, part in parts.items():
+        expected = moment if name in effect.segments else 0.0 * moment
+        np.testing.assert_array_equal(part, np.broadcast_to(expected[:, None], part.shape))
+    return moment
 
 
-def test_a_held_bend_relaxes_exponentially():
+@pytest.mark.parametrize("kind", [StressRelaxation, TailRelaxation])
+def test_a_held_bend_relaxes_exponentially(kind):
     E_1, tau, kappa, dt = 0.01, 0.2, 3.0, 1e-4
     t = dt * np.arange(1.0, 4001.0)
-    M = moments(arrays(StressRelaxation(E_1, tau)), kappa + jnp.zeros_like(t), dt)
+    M = moments(arrays(kind(E_1, tau)), kappa + jnp.zeros_like(t), dt)
     np.testing.assert_allclose(M, E_1 * kappa * np.exp(-t / tau), rtol=2e-3)
 
 
@@ -175,17 +194,90 @@ def test_the_standard_solid_has_its_complex_modulus():
     np.testing.assert_allclose(modulus, E_1 * 1j * w * tau / (1.0 + 1j * w * tau), rtol=2e-3)
 
 
+@pytest.mark.parametrize("kind", [InternalFriction, TailFriction])
 @pytest.mark.parametrize("frequency", [2.0, 8.0])
-def test_dry_friction_takes_the_same_energy_at_any_rate(frequency):
+def test_dry_friction_takes_the_same_energy_at_any_rate(frequency, kind):
     """Dahl's loop between -A and A: q = 1 - (1 + tanh(A/k)) exp(-(kappa + A)/k) on the way up."""
     z_c, k, A, n = 0.02, 0.3, 2.0, 8000
     dt = 1.0 / frequency / n
     kappa = A * jnp.sin(2.0 * jnp.pi * jnp.arange(0.0, 3.0 * n + 1.0) / n)
-    M = moments(arrays(InternalFriction(z_c, k)), kappa, dt)
+    M = moments(arrays(kind(z_c, k)), kappa, dt)
     energy = np.sum(M[-n:] * np.diff(kappa)[-n:])
     exact = 4.0 * z_c * (A - k * np.tanh(A / k))
     np.testing.assert_allclose(energy, exact, rtol=0.01)
     np.testing.assert_allclose(np.abs(M).max(), z_c * np.tanh(A / k), rtol=0.01)
+
+
+@pytest.mark.parametrize("n", [0.5, 1.0, 1.5])
+def test_power_damping_is_a_power_of_a_constant_bending_rate(n):
+    c, dt = 0.3, 1e-3
+    effect = arrays(PowerDamping(c, n))
+    for rate in (400.0, -2000.0):
+        M = moments(effect, rate * dt * jnp.arange(1.0, 4.0), dt)
+        exact = EI * c * np.sign(rate) * (abs(rate) / 100.0) ** n
+        np.testing.assert_allclose(M, exact, rtol=5e-4)
+
+
+# Distribution along the body, sides and joint
+
+
+def curvature(y):
+    """Curvature (cells,) [1/m] of the rod."""
+    return np.diff(y[5]) / np.diff(nodes_of(uniform(L), SMALL))
+
+
+def test_a_stiffness_gradient_makes_the_end_at_the_head_stiffer():
+    C, g = 0.01, 0.6
+    s = nodes_of(uniform(L), SMALL)
+    xi = (0.5 * (s[1:] + s[:-1]) - TAIL - 0.5 * BODY) / BODY
+    stiffness = EI * np.where(xi > -0.5, 1.0 + g * xi, 1.0)
+    kappa = curvature(settled((StiffnessGradient(g),), end_load(M=C)))
+    np.testing.assert_allclose(kappa, C / stiffness, rtol=1e-9)
+    assert kappa[-1] < kappa[SMALL.tail_cells]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_body_with_sides_bends_more_to_its_soft_side(sign):
+    C, d, w, tail = 0.2, 0.25, CURVATURE_ROUNDING, SMALL.tail_cells
+    kappa = curvature(settled((SideStiffness(d),), end_load(M=sign * C)))
+    exact = (sign * C / EI + d * w) / (1.0 + sign * d)
+    np.testing.assert_allclose(kappa[tail:], exact, rtol=d * w**2 / exact**2)
+    np.testing.assert_allclose(kappa[:tail], sign * C / EI, rtol=1e-9)
+
+
+def test_a_tail_bent_at_rest_has_its_curvature_and_its_body_is_straight():
+    kappa_0, tail = 1.5, SMALL.tail_cells
+    kappa = curvature(settled((TailRestCurvature(kappa_0),)))
+    np.testing.assert_allclose(kappa[:tail], kappa_0, rtol=1e-9)
+    np.testing.assert_allclose(kappa[tail:], 0.0, atol=1e-9)
+
+
+def test_tail_damping_slows_only_the_tail():
+    """One implicit step under a couple, as in the test of the material's damping."""
+    C, dt, alpha, a = 0.01, 2e-3, 3e-3, 5e-3
+    effects = (TailDamping(a),)
+    y = settled(effects, end_load(M=-C), dt, linear_density=0.0, damping_time=alpha)
+    tail = C * TAIL / EI / (1.0 + (alpha + a) / dt)
+    np.testing.assert_allclose(y[5, 0], C * BODY / EI / (1.0 + alpha / dt) + tail, rtol=1e-9)
+
+
+def test_a_soft_joint_rotates_by_its_compliance():
+    C, c, tail = 0.01, 4.0, SMALL.tail_cells
+    y = settled((JointCompliance(c),), end_load(M=C))
+    np.testing.assert_allclose(-y[5, 0], C * L / EI + c * C, rtol=1e-9)
+    kappa = curvature(y)
+    away = np.r_[: tail - 1, tail + 1 : len(kappa)]
+    np.testing.assert_allclose(kappa[away], C / EI, rtol=1e-9)
+
+
+def test_a_joint_with_backlash_rotates_freely_by_its_play():
+    """Beyond the play, the rotation is g; far below the stop, it is g M/(EI w)."""
+    g, w, C = 2e-3, 0.01, 0.2
+    y = settled((JointBacklash(g, w),), end_load(M=-C))
+    np.testing.assert_allclose(y[5, 0] - C * L / EI, g, rtol=1e-3)
+    g, w, C = 0.02, 1.0, 1e-5
+    y = settled((JointBacklash(g, w),), end_load(M=-C))
+    np.testing.assert_allclose(y[5, 0] - C * L / EI, g * C / (EI * w), rtol=1e-5)
 
 
 # Forces of the water and of masses
@@ -195,6 +287,40 @@ def test_linear_drag_brakes_a_turning_rod():
     c, omega = 1.5, 2.0
     _, _, moment = resultant(LinearDrag(c), rigid(omega=omega))
     np.testing.assert_allclose(moment, -c * omega * L**3 / 3.0, rtol=1e-4)
+
+
+@pytest.mark.parametrize("U", [0.4, -0.4])
+def test_linear_friction_resists_axial_motion(U):
+    F_tau, F_n, _ = resultant(LinearFriction(1.2), rigid(V=(U, 0.3)))
+    np.testing.assert_allclose(F_tau, -1.2 * U * L, rtol=1e-12)
+    assert F_n == 0.0
+
+
+@pytest.mark.parametrize("omega", [2.0, -2.0])
+def test_side_drag_has_the_same_direction_for_both_directions_of_motion(omega):
+    F_tau, F_n, _ = resultant(SideDrag(0.6), rigid(omega=omega))
+    np.testing.assert_allclose(F_n, -0.5 * RHO * 0.6 * H * omega**2 * L**3 / 3.0, rtol=1e-4)
+    assert F_tau == 0.0
+
+
+@pytest.mark.parametrize("U", [0.5, -0.5])
+def test_the_lift_resists_the_crossflow_in_both_axial_directions(U):
+    C, u_n = 0.8, 0.1
+    _, F_n, _ = resultant(CrossflowLift(C), rigid(V=(U, u_n)))
+    np.testing.assert_allclose(F_n, -0.5 * RHO * C * H * L * abs(U) * u_n, rtol=1e-5)
+
+
+def test_added_mass_grows_with_the_stroke_amplitude():
+    """In a sinusoidal stroke, KC is constant, so the force is that of a constant added mass."""
+    f, c, cells = 4.0, 0.2, FINE.tail_cells + FINE.body_cells
+    phase = 2.0 * jnp.pi * jnp.arange(float(cells)) / cells
+    effect = arrays(AmplitudeAddedMass(c, stride_frequency=f))
+    for KC in (2.0, 8.0):
+        U = KC * f * H
+        u_n, u_n_t = U * jnp.cos(phase), -2.0 * jnp.pi * f * U * jnp.sin(phase)
+        F_n = effect.force(dataclasses.replace(rigid(), u_n=u_n, u_n_t=u_n_t))[1]
+        m_A = c * KC * math.pi * RHO * H**2 / 4.0
+        np.testing.assert_allclose(F_n, -m_A * u_n_t, rtol=2e-3, atol=1e-9)
 
 
 def test_tail_drag_brakes_a_turning_rod_by_its_tail():
@@ -313,6 +439,14 @@ def test_a_current_pushes_a_rigid_rod():
     thrust, recoil = -y[0, -1], -y[1, -1]
     np.testing.assert_allclose(thrust, RHO * C_t * H * L * U_x * abs(U_x), rtol=1e-6)
     np.testing.assert_allclose(recoil, 0.5 * RHO * C_d * H * L * U_y * abs(U_y), rtol=1e-6)
+
+
+def test_a_current_builds_up_from_still_water():
+    U, tau = -0.15, 3.0
+    t = jnp.asarray([0.0, tau, 30.0 * tau])
+    U_x, U_y = jax.vmap(arrays(CurrentBuildup(U, tau)).velocity)(t)
+    np.testing.assert_allclose(U_x, [0.0, U * (1.0 - math.exp(-1.0)), U], rtol=1e-12)
+    assert not np.any(U_y)
 
 
 def test_a_seiche_moves_water_back_and_forth():

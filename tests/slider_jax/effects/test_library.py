@@ -180,7 +180,9 @@ def test_a_shape_parameter_acts_only_while_its_effect_does(shape):
     along[shape] = PRIORS[shape].high - PRIORS[shape].low
 
     def at(step):
-        return tuple(np.asarray(x) for x in _moved(jnp.asarray(theta + step * along), along))
+        value, tangent = _moved(jnp.asarray(theta + step * along), along)
+        assert np.isfinite(value).all()
+        return np.asarray(value), np.asarray(tangent)
 
     tangent, step = at(0.0)[1], 1e-4
     found = (at(step)[0] - at(-step)[0]) / (2.0 * step)

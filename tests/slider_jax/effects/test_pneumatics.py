@@ -7,9 +7,11 @@ import pytest
 from slider_jax.actuation import Ideal, Recorded
 from slider_jax.beam.parameters import Robot
 from slider_jax.dynamics.model import make_mesh
+from slider_jax.effects.pneumatics.actuator_creep import ActuatorCreep
 from slider_jax.effects.pneumatics.actuator_hysteresis import ActuatorHysteresis
 from slider_jax.effects.pneumatics.actuator_quadratic import ActuatorQuadratic
 from slider_jax.effects.pneumatics.actuator_saturation import ActuatorSaturation
+from slider_jax.effects.pneumatics.actuator_threshold import ActuatorThreshold
 from slider_jax.effects.pneumatics.chamber_crosstalk import ChamberCrosstalk
 from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE, ChamberExpansion
 from slider_jax.effects.pneumatics.chamber_mismatch import ChamberMismatch
@@ -21,6 +23,10 @@ from slider_jax.effects.pneumatics.orifice_flow import OrificeFlow, characterist
 from slider_jax.effects.pneumatics.rear_valve_delay import RearValveDelay
 from slider_jax.effects.pneumatics.regulator_gain import RegulatorGain
 from slider_jax.effects.pneumatics.regulator_offset import RegulatorOffset
+from slider_jax.effects.pneumatics.relief_leak import ReliefLeak
+from slider_jax.effects.pneumatics.side_lag import SideLag
+from slider_jax.effects.pneumatics.side_mismatch import SideMismatch
+from slider_jax.effects.pneumatics.supply_depletion import SupplyDepletion
 from slider_jax.effects.pneumatics.supply_limit import SupplyLimit
 from tests.support.chambers import A, K, chambers, held, relaxation, square, strides
 from tests.support.helpers import SMALL, order
@@ -31,6 +37,7 @@ FLOWS = [
     FlowExponent(0.4),
     OrificeFlow(0.8),
     ChamberExpansion(4e-6),
+    SideLag(0.4),
 ]
 
 
@@ -86,6 +93,38 @@ def test_leaking_chamber_settles_lower_and_sooner():
     q = 2.5
     exact = A / (1.0 + q * K) * (1.0 - np.exp(-(1.0 / K + q) * t))
     np.testing.assert_allclose(relaxation(Leakage(q), 0.0, A, t), exact, rtol=1e-6)
+
+
+def test_a_relief_leak_opens_at_its_pressure_on_both_sides():
+    q, opening, t = 9.0, 120e3, np.linspace(0.0, 1.2, 1201)
+    for sign in (1.0, -1.0):
+        p = sign * relaxation(ReliefLeak(q, opening), 0.0, sign * A, t)
+        lag = A * (1.0 - np.exp(-t / K))
+        closed = lag < opening
+        np.testing.assert_allclose(p[closed], lag[closed], rtol=1e-5, atol=1e-3)
+        assert p[-1] == pytest.approx((A + q * K * opening) / (1.0 + q * K), rel=1e-6)
+
+
+def test_left_and_right_chambers_fill_with_their_own_time_constants():
+    x, t = 0.3, np.linspace(0.0, 0.4, 201)
+    left, right = (relaxation(SideLag(x), 0.0, p_set, t) for p_set in (A, -A))
+    np.testing.assert_allclose(left, A * (1.0 - np.exp(-t / (1.3 * K))), rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(right, -A * (1.0 - np.exp(-t / (0.7 * K))), rtol=1e-6, atol=1e-3)
+
+
+def test_an_emptying_supply_lowers_the_set_pressure_exponentially():
+    """k dp/dt = A exp(-r t) - p, from the pressure at the first time."""
+    r, t = 0.3, np.linspace(0.0, 2.0, 401)
+    exact = A * (np.exp(-r * t) - np.exp(-t / K)) / (1.0 - r * K)
+    p = relaxation(SupplyDepletion(r), 0.0, A, t)
+    np.testing.assert_allclose(p, exact, atol=1e-6 * A)
+
+
+def test_an_emptying_supply_keeps_the_edges_of_the_drive():
+    """A short lag follows the set pressure: a square wave times the exponential."""
+    r, t = 0.5, strides(40)
+    p = square([SupplyDepletion(r)], t, law=Ideal()).p
+    np.testing.assert_allclose(p, np.exp(-r * t)[:, None] * square([], t, law=Ideal()).p)
 
 
 def test_choked_chamber_fills_linearly_before_it_relaxes():
@@ -163,6 +202,18 @@ def test_line_lag_is_exact_on_a_ramp_with_uneven_steps():
     np.testing.assert_allclose(got.acting[:, 1], exact, rtol=1e-10)
 
 
+def test_creep_is_exact_on_a_ramp_and_adds_its_share_in_the_end():
+    tau, share, slope = 0.02, 0.3, 1e6
+    steps = np.random.default_rng(0).uniform(0.001, 0.05, 30)
+    t = np.concatenate([[0.0], np.cumsum(steps)])
+    ramp = Recorded(jnp.asarray([0.0, 10.0]), jnp.asarray([0.0, 10.0 * slope]))
+    got = chambers([ActuatorCreep(share, tau)], ramp, ramp, t, law=Ideal())
+    slow = slope * (t - tau * (1.0 - np.exp(-t / tau)))
+    np.testing.assert_allclose(got.acting[1:, 0], (slope * t + share * slow)[1:], rtol=1e-10)
+    held_long = chambers([ActuatorCreep(share, tau)], held(A), held(A), np.linspace(0.0, 3.0, 301))
+    np.testing.assert_allclose(held_long.acting[-1], (1.0 + share) * A, rtol=1e-9)
+
+
 def test_line_lag_behind_the_valves_lag_converges_to_two_lags_in_series():
     tau, sizes = 0.02, np.array([20, 40, 80])
 
@@ -197,6 +248,19 @@ def test_saturation_loses_half_and_the_quadratic_part_doubles_at_the_inverse():
     np.testing.assert_allclose(
         acting(less, 0.01 * A, 0.0) + acting(more, 0.01 * A, 0.0), [0.02 * A, 0.0], rtol=2e-4
     )
+
+
+def test_left_and_right_chambers_bend_by_their_own_share():
+    np.testing.assert_allclose(acting(SideMismatch(0.2), A, -A), [1.2 * A, -0.8 * A], rtol=1e-12)
+
+
+def test_a_threshold_is_lost_at_high_pressure_and_softens_low_pressure():
+    p_0, w = 20e3, 10e3
+    effect = ActuatorThreshold(p_0, w)
+    np.testing.assert_allclose(acting(effect, 3e6, -3e6), [3e6 - p_0, p_0 - 3e6], rtol=1e-5)
+    np.testing.assert_allclose(acting(effect, 10.0, -10.0), [10.0 / 3.0, -10.0 / 3.0], rtol=1e-5)
+    p = np.linspace(-A, A, 1001)
+    assert np.all(np.diff([acting(effect, x, x)[0] for x in p[::20]]) > 0.0)
 
 
 def span_moments(effect, p_front, p_rear):

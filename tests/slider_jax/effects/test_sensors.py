@@ -8,14 +8,24 @@ import pytest
 from slider_jax.beam.state import to_body
 from slider_jax.effects import Readings
 from slider_jax.effects.sensors.camera_delay import CameraDelay
+from slider_jax.effects.sensors.camera_offset import CameraOffset
 from slider_jax.effects.sensors.camera_scale import CameraScale
 from slider_jax.effects.sensors.force_clock_offset import ForceClockOffset
 from slider_jax.effects.sensors.force_crosstalk import ForceCrosstalk
+from slider_jax.effects.sensors.force_cubic import ForceCubic
+from slider_jax.effects.sensors.force_drift import ForceDrift
 from slider_jax.effects.sensors.force_gain import ForceGain
+from slider_jax.effects.sensors.force_gain_mismatch import ForceGainMismatch
 from slider_jax.effects.sensors.force_resonance import ForceResonance
 from slider_jax.effects.sensors.force_sensor_lag import ForceSensorLag
+from slider_jax.effects.sensors.force_side_gain import ForceSideGain
+from slider_jax.effects.sensors.force_warm_up import ForceWarmUp
+from slider_jax.effects.sensors.lens_distortion import LensDistortion
+from slider_jax.effects.sensors.mains_hum import MainsHum
+from slider_jax.effects.sensors.pressure_drift import PressureDrift
 from slider_jax.effects.sensors.pressure_gain import PressureGain
 from slider_jax.effects.sensors.pressure_offset import PressureOffset
+from slider_jax.effects.sensors.pressure_resonance import PressureResonance
 from slider_jax.effects.sensors.pressure_sensor_lag import PressureSensorLag
 from tests.support.helpers import order
 
@@ -50,6 +60,7 @@ SERIES = made_of(lambda t: jnp.sin(9.0 * t) + 0.3 * jnp.cos(31.0 * t), jnp.linsp
     ("effect", "expected"),
     [
         (ForceGain(0.1), {"thrust": 1.1, "recoil": 1.1}),
+        (ForceGainMismatch(0.1), {"thrust": 1.1, "recoil": 0.9}),
         (CameraScale(-0.05), {"tip": 0.95}),
         (PressureGain(0.02), {"p_front": 1.02, "p_rear": 1.02}),
     ],
@@ -68,6 +79,69 @@ def test_an_offset_shifts_both_pressures():
             np.asarray(getattr(read, name) - getattr(SERIES, name)), 3e3, rtol=1e-9
         )
     untouched(PressureOffset, SERIES, read)
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        (ForceDrift(0.02, -0.01), {"thrust": lambda t: 0.02 * t, "recoil": lambda t: -0.01 * t}),
+        (
+            ForceWarmUp(0.1, -0.05, tau=0.2),
+            {
+                "thrust": lambda t: 0.1 * (1.0 - np.exp(-t / 0.2)),
+                "recoil": lambda t: -0.05 * (1.0 - np.exp(-t / 0.2)),
+            },
+        ),
+        (PressureDrift(1e3), {"p_front": lambda t: 1e3 * t, "p_rear": lambda t: 1e3 * t}),
+        (CameraOffset(-4e-3), {"tip": lambda t: -4e-3 + 0.0 * t}),
+    ],
+    ids=lambda x: x.name() if hasattr(x, "name") else "",
+)
+def test_a_zero_error_adds_a_function_of_time_to_its_own_channels(effect, expected):
+    read, t = effect.read(SERIES), np.asarray(SERIES.t)
+    for name, error in expected.items():
+        added = np.asarray(getattr(read, name) - getattr(SERIES, name))
+        np.testing.assert_allclose(added, error(t), rtol=1e-9, atol=1e-10)
+    untouched(effect, SERIES, read)
+
+
+def test_a_side_gain_scales_positive_and_negative_forces_differently():
+    effect = ForceSideGain(0.05)
+    read = effect.read(SERIES)
+    for name in ("thrust", "recoil"):
+        true = np.asarray(getattr(SERIES, name))
+        expected = np.where(true > 0.0, 1.05 * true, 0.95 * true)
+        np.testing.assert_allclose(getattr(read, name), expected, rtol=1e-14)
+    untouched(effect, SERIES, read)
+
+
+@pytest.mark.parametrize(
+    ("effect", "c"), [(ForceCubic(0.08), 0.08), (LensDistortion(-12.0), -12.0)]
+)
+def test_a_cubic_error_has_the_harmonics_of_a_cubed_sine(effect, c):
+    """sin^3 = 3/4 sin - 1/4 sin 3: the fundamental gains 3/4 c A^2, the third harmonic c A^3/4."""
+    f, t = 5.0, jnp.linspace(0.0, 1.0, 1001)
+    true = made_of(lambda t: jnp.sin(TURN * f * t), t)
+    read = effect.read(true)
+    for name in effect.sensors:
+        A = float(np.abs(getattr(true, name)).max())
+        x = np.asarray(getattr(read, name))[1:]
+        first, third = (
+            2.0 * np.mean(x * np.exp(-1j * TURN * n * f * np.asarray(t)[1:])) for n in (1, 3)
+        )
+        assert abs(first - -1j * A * (1.0 + 0.75 * c * A**2)) < 1e-9 * A
+        assert abs(third - 1j * c * A**3 / 4.0) < 1e-9 * A
+    untouched(effect, true, read)
+
+
+def test_hum_has_the_amplitude_and_phase_of_its_sine_and_cosine():
+    t = jnp.linspace(0.0, 1.0, 4801)
+    true = made_of(lambda t: 0.0 * t, t)
+    read = MainsHum(a=0.03, b=-0.02, frequency=60.0).read(true)
+    for name in ("thrust", "recoil"):
+        for f, expected in ((60.0, -0.02 - 0.03j), (50.0, 0.0)):
+            assert abs(phasor(t, getattr(read, name), f) - expected) < 1e-9
+    untouched(MainsHum, true, read)
 
 
 def test_a_rotated_sensor_reads_the_components_along_its_own_axes():
@@ -110,11 +184,13 @@ def test_the_tangent_of_a_lag_at_its_null_is_the_slope(kind):
     assert np.abs(getattr(tangent, name)[1:] - slope).max() < 3e-3 * np.abs(slope).max()
 
 
-def test_a_resonance_has_the_response_of_its_oscillator():
+@pytest.mark.parametrize("kind", [ForceResonance, PressureResonance])
+def test_a_resonance_has_the_response_of_its_oscillator(kind):
     """At half, at and beyond its natural frequency; second order in the step."""
     natural, b = 12.0, 15.0
     c = 1.0 / (TURN * natural) ** 2
-    effect = ForceResonance(c, b)
+    effect = kind(c, b)
+    names = ("thrust", "recoil") if kind is ForceResonance else ("p_front", "p_rear")
 
     def off(f, dt):
         t = dt * jnp.arange(round(2.0 / dt) + 1.0)
@@ -123,10 +199,7 @@ def test_a_resonance_has_the_response_of_its_oscillator():
         untouched(effect, true, read)
         w = TURN * f
         expected = 1.0 / (1.0 - c * w**2 + 1j * c * b * w)
-        ratios = [
-            phasor(t, getattr(read, n), f) / phasor(t, getattr(true, n), f)
-            for n in ("thrust", "recoil")
-        ]
+        ratios = [phasor(t, getattr(read, n), f) / phasor(t, getattr(true, n), f) for n in names]
         np.testing.assert_allclose(ratios[0], ratios[1], rtol=1e-12)
         return abs(ratios[0] / expected - 1.0)
 

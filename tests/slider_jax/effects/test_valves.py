@@ -10,6 +10,7 @@ from slider_jax.effects.pneumatics.firmware_valves import FirmwareValves
 from slider_jax.effects.pneumatics.lag_mismatch import LagMismatch
 from slider_jax.effects.pneumatics.pulsed_valves import PulsedValves
 from slider_jax.effects.pneumatics.rate_limit import RateLimit
+from slider_jax.effects.pneumatics.relief_leak import ReliefLeak
 from slider_jax.effects.pneumatics.supply_cap import SupplyCap
 from slider_jax.effects.pneumatics.valve_deadband import ValveDeadband
 from slider_jax.effects.pneumatics.valve_overlap import ValveOverlap
@@ -26,6 +27,7 @@ OPEN = (MAX_DUTY - 0.05) / 0.95
         (FillVentAsymmetry(0.4), 2e-6),
         (FillVentAsymmetry(2.5), 2e-6),
         (RateLimit(4e-7), 2e-5),
+        (ReliefLeak(8.0), 1e-4),
         (ValveOverlap(20e3), 2e-5),
         (ValveDeadband(20e3), 1e-3),
         (FirmwareValves(2.0, 2.0), 1e-3),
