@@ -55,7 +55,11 @@ class MeasuredInformation(NamedTuple):
         """Returns the information and sensors of the fitted trials."""
         noise, every = {}, {}
         for channel in problem.channels:
-            found = [x for (_, name), x in problem.noise.items() if name == channel]
+            found = [
+                x._replace(white=float(np.median(x.white)))
+                for (_, name), x in problem.noise.items()
+                if name == channel
+            ]
             if not found:
                 continue
             there = np.concatenate([r.there(channel) for r in problem.records if r.has(channel)])

@@ -68,7 +68,8 @@ def noise_floors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[
         for (i, name), noise in problem.noise.items():
             if name == channel:
                 share = CHANNELS[channel].discrepancy * float(np.std(predicted[i][row]))
-                square = noise.white**2 + noise.slow**2 + noise.tare**2 + share**2
+                white = float(np.mean(np.square(noise.white)))
+                square = white + noise.slow**2 + noise.tare**2 + share**2
                 parts.append((square, int(problem.records[i].there(channel).sum())))
         if parts:
             squares, counts = np.array(parts).T

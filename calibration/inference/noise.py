@@ -9,7 +9,7 @@ constants of `slider_jax.channels`. An effect smaller than these two parts canno
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky, eigh, solve_triangular
 
 from calibration.inference.intervals import noise_floor
 from slider_jax.channels import CHANNELS
@@ -21,15 +21,27 @@ beam, not on the drive."""
 DISCREPANCY_STRIDES = 10.0
 """Number of strides in which the discrepancy's correlation decreases to 1/e. The measured
 correlation of successive strides is 0.86 to 0.94, so a mean over strides hardly reduces it."""
-MAX_SAMPLES = 1250
-"""Largest number of samples in a whitened series. Neighbouring samples of longer series are
-averaged in groups, to limit the size of the covariance matrix."""
+BLOCK = 256
+"""Number of samples that are whitened together."""
+MAX_HARMONICS = 128
+"""Largest number of the drive's harmonics in the state that links the blocks."""
+LINK_LIMIT = 0.3
+"""Only harmonics above this limit link the blocks. The limit applies to the harmonic's variance,
+times the number of samples in `DISCREPANCY_STRIDES` strides, divided by the white variance."""
+PHASES = 2**14
+"""Number of phases at which the discrepancy's correlation is evaluated for its harmonics."""
+TIME_TOLERANCE = 0.01 * DISCREPANCY_TIME
+"""Blocks share matrices if their sample times differ by less [s]. Correlations then change by at
+most 1 %."""
+SETTLED = 1e-9
+"""Change of the state's covariance, relative to its prior, below which it counts as constant."""
 
 
 class Noise(NamedTuple):
     """Standard deviations of one channel's noise, in the unit of the channel; `slow_time` in s."""
 
-    white: float
+    white: float | np.ndarray
+    """One value, or one value per reading (n,)."""
     slow: float = 0.0
     slow_time: float = 0.1
     tare: float = 0.0
@@ -74,6 +86,13 @@ class Whitener:
     noise that is proportional to the signal. If `frequency` [Hz] is given, the model-discretisation
     discrepancy is correlated between strides. Tare, gain and `spans` (k, n) are marginalised. Each
     span is a series that is multiplied by an unknown random factor of unit variance.
+
+    The covariance is S + U^T U. The rows of U (k, n) are tare, gain and spans. S is the covariance
+    of white noise, slow noise and discrepancy. A Kalman filter whitens S by blocks of samples: the
+    covariance within a block is exact, and `_Modes` is the state that links the blocks. The result
+    is then multiplied by (I + V^T V)^(-1/2), where V are the whitened rows of U. Time and memory
+    are proportional to n. Source: Rauch, H. E. (1963), IEEE Trans. Autom. Control 8, 371-372, for
+    the filter with noise that is correlated between state and reading.
     """
 
     def __init__(
@@ -85,29 +104,208 @@ class Whitener:
         frequency: float | None = None,
         spans: np.ndarray | None = None,
     ):
-        self._group = max(1, int(np.ceil(len(t) / MAX_SAMPLES)))
-        n = len(t) // self._group * self._group
-        self._n = n
-        centre, y = self._averaged(t[None])[0], self._averaged(model[None])[0]
-        rms = float(np.std(y)) if len(y) > 1 else 0.0
-        lag = np.abs(centre[:, None] - centre[None])
-        cov = noise.slow**2 * np.exp(-lag / noise.slow_time)
-        scale = CHANNELS[channel].discrepancy * rms
-        cov += scale**2 * _discrepancy_correlation(lag, frequency)
-        cov += noise.tare**2 + CHANNELS[channel].gain ** 2 * np.outer(y, y)
-        if spans is not None:
-            unknown = self._averaged(spans)
-            cov += unknown.T @ unknown
-        cov[np.diag_indices_from(cov)] += noise.white**2 / self._group
-        self._factor = cholesky(cov, lower=True)
-
-    def _averaged(self, series: np.ndarray) -> np.ndarray:
-        return series[:, : self._n].reshape(len(series), -1, self._group).mean(axis=2)
+        scale = CHANNELS[channel].discrepancy * (float(np.std(model)) if len(model) > 1 else 0.0)
+        variance = np.broadcast_to(np.square(noise.white), t.shape)
+        # Without white noise, rounding errors could make the covariance of a block indefinite.
+        self._white = np.maximum(variance, 1e-12 * (noise.slow**2 + scale**2))
+        self._t, self._noise, self._scale, self._frequency = t, noise, scale, frequency
+        self._modes = _Modes.of(t, noise, scale, frequency, float(np.median(self._white)))
+        self._edges = [*range(0, len(t), BLOCK), len(t)]
+        numbers = range(len(self._edges) - 1)
+        repeated = (i for i in numbers[:-1] if _same(self._pattern(i), self._pattern(i + 1)))
+        self._regular = self._made(self._pattern(next(repeated, 0)))
+        self._gains = self._filter()
+        unknown = [noise.tare * np.ones_like(t), CHANNELS[channel].gain * model]
+        rows = np.stack(unknown if spans is None else [*unknown, *spans])
+        _, size, self._low = np.linalg.svd(self._stationary(rows), full_matrices=False)
+        self._shrink = 1.0 / np.sqrt(1.0 + size**2) - 1.0
 
     def __call__(self, series: np.ndarray) -> np.ndarray:
-        """Returns the whitened series (k, m) of `series` (k, n). NaN and inf raise no error."""
-        averaged = self._averaged(np.atleast_2d(series))
-        return solve_triangular(self._factor, averaged.T, lower=True, check_finite=False).T
+        """Returns the whitened series (k, n) of `series` (k, n). NaN and inf raise no error."""
+        white = self._stationary(np.atleast_2d(series))
+        along = (white @ self._low.T) * self._shrink
+        for first in range(0, white.shape[1], BLOCK):
+            here = slice(first, first + BLOCK)
+            white[:, here] += along @ self._low[:, here]
+        return white
+
+    def _pattern(self, number: int) -> "_Pattern":
+        first, last = self._edges[number : number + 2]
+        lag = self._t[first:last] - self._t[first]
+        # The state after the last block is not used, so any length of this block is correct.
+        span = self._t[last] - self._t[first] if last < len(self._t) else np.nan
+        return _Pattern(lag, span, self._white[first:last])
+
+    def _block(self, number: int) -> "_Block":
+        """Returns a block's matrices. Blocks with the same sample times and noise share them."""
+        pattern = self._pattern(number)
+        if _same(self._regular.pattern, pattern):
+            return self._regular.cut(len(pattern.lag))
+        return self._made(pattern)
+
+    def _made(self, pattern: "_Pattern") -> "_Block":
+        lag, span = pattern.lag, pattern.lag[-1] if np.isnan(pattern.span) else pattern.span
+        gap = np.abs(lag[:, None] - lag[None])
+        cov = self._noise.slow**2 * np.exp(-gap / self._noise.slow_time)
+        cov += self._scale**2 * _discrepancy_correlation(gap, self._frequency)
+        cov[np.diag_indices_from(cov)] += pattern.white
+        seen, turn = self._modes.columns(lag), self._modes.turn(span)
+        root = cholesky(cov - seen @ seen.T, lower=True, overwrite_a=True, check_finite=False)
+        link = self._modes.columns(lag - span) - seen @ turn.T
+        seen, link = (solve_triangular(root, x, lower=True) for x in (seen, link))
+        return _Block(pattern, root, seen, link, turn)
+
+    def _filter(self) -> list["_Gain"]:
+        """Returns the gain of every block by the recursion of the state's covariance."""
+        state = np.eye(len(self._modes.rate))
+        gains: list[_Gain] = []
+        settled = None
+        for number in range(len(self._edges) - 1):
+            b = self._block(number)
+            if settled is not None and b is self._regular:
+                gains.append(settled)
+                continue
+            gains.append(_Gain.of(state, b.seen))
+            after = gains[-1].covariance(b)
+            change = float(np.abs(after - state).max())
+            settled = gains[-1] if b is self._regular and change < SETTLED else None
+            state = after
+        return gains
+
+    def _stationary(self, series: np.ndarray) -> np.ndarray:
+        """Returns `series` (k, n), whitened for noise with the covariance S."""
+        white = np.empty(series.shape)
+        state = np.zeros((len(self._modes.rate), len(series)))
+        for number, gain in enumerate(self._gains):
+            b, here = self._block(number), slice(*self._edges[number : number + 2])
+            new = solve_triangular(b.root, series[:, here].T, lower=True, check_finite=False)
+            new -= b.seen @ state
+            along = gain.basis.T @ (b.seen.T @ new)
+            white[:, here] = (new - b.seen @ (gain.basis @ (gain.shrink * along))).T
+            step = gain.basis @ (gain.keep * along)
+            state = b.turn @ (state + step) + b.link.T @ (new - b.seen @ step)
+        return white
+
+
+class _Modes(NamedTuple):
+    """State that links the blocks of a series: random processes with exponential memory.
+
+    The slow noise is one process. Without a frequency, the discrepancy is another. With a
+    frequency, each harmonic of the drive has two processes, the amplitudes of its cosine and sine.
+    All processes are independent and have unit variance at any time.
+    """
+
+    size: np.ndarray
+    """Standard deviation (r,) of the noise that a process causes."""
+    rate: np.ndarray
+    """Rate of decay (r,) of a process's correlation [1/s]."""
+    omega: np.ndarray
+    """Angular frequency (r,) [rad/s]."""
+    phase: np.ndarray
+    """Phase (r,) [rad]: 0 for a cosine, -pi/2 for a sine."""
+    order: np.ndarray
+    """Order (r,) of the harmonic; -1 for the slow noise."""
+
+    @classmethod
+    def of(
+        cls, t: np.ndarray, noise: Noise, scale: float, frequency: float | None, white: float
+    ) -> "_Modes":
+        """Returns the processes of one series with a variance `white` of the white noise."""
+        slow = [[noise.slow], [1.0 / noise.slow_time], [0.0], [0.0], [-1.0]]
+        if len(t) <= BLOCK:
+            return cls(*np.array(slow))
+        if not frequency:
+            single = [[scale], [1.0 / DISCREPANCY_TIME], [0.0], [0.0], [0.0]]
+            return cls(*np.hstack([slow, single]))
+        phases = np.arange(PHASES) / PHASES / frequency
+        lag = _discrepancy_correlation(phases, frequency)
+        share = np.fft.rfft(lag * np.exp(phases * frequency / DISCREPANCY_STRIDES)).real / PHASES
+        share = np.maximum(share[: MAX_HARMONICS + 1], 0.0)
+        share[1:] *= 2.0
+        readings = DISCREPANCY_STRIDES / frequency * len(t) / max(t[-1] - t[0], 1e-12)
+        count = 1 + int(np.sum(share[1:] * scale**2 * readings > LINK_LIMIT * white))
+        order = np.arange(count)
+        size, omega = scale * np.sqrt(share[:count]), 2.0 * np.pi * frequency * order
+        rate = np.full(count, frequency / DISCREPANCY_STRIDES)
+        cosines = np.stack([size, rate, omega, np.zeros(count), order])
+        sines = np.stack([size, rate, omega, np.full(count, -0.5 * np.pi), order])[:, 1:]
+        return cls(*np.hstack([slow, cosines, sines]))
+
+    def columns(self, offset: np.ndarray) -> np.ndarray:
+        """Returns the covariance (n, r) of readings with the state, `offset` (n,) [s] before."""
+        decay = self.size * np.exp(-np.abs(offset)[:, None] * self.rate)
+        return decay * np.cos(offset[:, None] * self.omega + self.phase)
+
+    def turn(self, span: float) -> np.ndarray:
+        """Returns the covariance (r, r) of the state `span` [s] later with the state."""
+        angle = (self.omega * span - self.phase)[:, None] + self.phase
+        own = self.order[:, None] == self.order
+        return np.where(own, np.exp(-self.rate * span)[:, None] * np.cos(angle), 0.0)
+
+
+class _Pattern(NamedTuple):
+    """Sample times and white noise of a block of m samples."""
+
+    lag: np.ndarray
+    """Times (m,) [s] after the first sample."""
+    span: float
+    """Time [s] from the first sample to the next block; NaN for the last block."""
+    white: np.ndarray
+    """Variances (m,) of the white noise."""
+
+
+def _same(one: _Pattern, other: _Pattern) -> bool:
+    """Returns whether `other` has the times and noise of the first samples of `one`."""
+    n = len(other.lag)
+    if n > len(one.lag) or not np.array_equal(other.white, one.white[:n]):
+        return False
+    shift = max(np.abs(other.lag - one.lag[:n]).max(), np.nan_to_num(abs(other.span - one.span)))
+    return bool(shift < TIME_TOLERANCE)
+
+
+class _Block(NamedTuple):
+    """Matrices of a block of m samples, for a state of r processes at its first sample."""
+
+    pattern: _Pattern
+    root: np.ndarray
+    """Cholesky factor (m, m) of the readings' covariance if the state is known."""
+    seen: np.ndarray
+    """Change (m, r) of the readings by the state, whitened by `root`."""
+    link: np.ndarray
+    """Covariance (m, r) of readings and next state if the state is known, whitened by `root`."""
+    turn: np.ndarray
+    """Change (r, r) of the next state by the state."""
+
+    def cut(self, n: int) -> "_Block":
+        """Returns the matrices of the first `n` samples."""
+        if n == len(self.root):
+            return self
+        return self._replace(root=self.root[:n, :n], seen=self.seen[:n], link=self.link[:n])
+
+
+class _Gain(NamedTuple):
+    """Effect of a block's readings on the state, in a `basis` (r, r) of independent directions."""
+
+    basis: np.ndarray
+    shrink: np.ndarray
+    """Fraction (r, 1) that is removed from the readings in each direction."""
+    keep: np.ndarray
+    """Variance (r, 1) of the state in each direction if the readings are known."""
+
+    @classmethod
+    def of(cls, state: np.ndarray, seen: np.ndarray) -> "_Gain":
+        """Returns the gain for a state with the covariance `state` (r, r)."""
+        factor = cholesky(state, lower=True)
+        values, vectors = eigh(factor.T @ (seen.T @ seen) @ factor)
+        size = np.sqrt(1.0 + np.maximum(values, 0.0))[:, None]
+        return cls(factor @ vectors, 1.0 / (size * (1.0 + size)), 1.0 / size**2)
+
+    def covariance(self, b: _Block) -> np.ndarray:
+        """Returns the covariance (r, r) of the state at the start of the next block."""
+        basis = (b.turn - b.link.T @ b.seen) @ self.basis
+        fresh = np.eye(len(b.turn)) - b.turn @ b.turn.T - b.link.T @ b.link
+        fresh[np.diag_indices_from(fresh)] += 1e-12
+        return (basis * self.keep.T) @ basis.T + fresh
 
 
 def _discrepancy_correlation(lag: np.ndarray, frequency: float | None) -> np.ndarray:

@@ -158,8 +158,8 @@ class AbstractProblem(ABC):
         found = []
         for key, r in residuals.items():
             i, channel = key
-            there = self.records[i].there(channel)
-            J = white[key](derivatives[i][:, row_of(channel), there])
+            along, there = derivatives[i][:, row_of(channel)], self.records[i].there(channel)
+            J = white[key](along if there.all() else along[:, there])
             found.append(ChannelBlock(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
         return found
 

@@ -56,7 +56,9 @@ def hausman_check(problem: AbstractProblem, fit: Fit) -> Fit:
     if not any(channel in FORCES for _, channel in problem.noise):
         return fit
     noise = {
-        key: x._replace(tare=FREED_TARE * max(x.white, x.tare)) if key[1] in FORCES else x
+        key: x._replace(tare=FREED_TARE * max(float(np.max(x.white)), x.tare))
+        if key[1] in FORCES
+        else x
         for key, x in problem.noise.items()
     }
     freed = replace(problem, noise=noise)

@@ -1,9 +1,13 @@
 """Whitening of declared noise, and the noise model of a channel."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
+from scipy.linalg import cholesky, solve_triangular
 
 from calibration.inference.noise import (
+    BLOCK,
     DISCREPANCY_STRIDES,
     DISCREPANCY_TIME,
     Noise,
@@ -12,6 +16,7 @@ from calibration.inference.noise import (
     channel_noise,
     quantisation_step,
 )
+from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import SensorsTable
 
 T = np.arange(1000) / 500.0
@@ -40,13 +45,101 @@ def test_the_whitener_makes_declared_noise_white():
     assert spectrum[-100:].mean() == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_long_series_is_averaged_and_stays_white():
-    t = np.arange(4000) / 500.0
-    noise = Noise(white=0.02)
-    series = 0.02 * np.random.default_rng(1).normal(size=(50, len(t)))
-    white = Whitener(t, noise, 0.0 * t, "tip")(series)
-    assert white.shape[1] <= 1250
-    assert np.mean(white**2) == pytest.approx(1.0, abs=0.03)
+def dense_root(t, noise, model, channel, frequency, spans=()):
+    """Returns the Cholesky factor of the declared covariance, without any approximation."""
+    lag = np.abs(t[:, None] - t)
+    scale = CHANNELS[channel].discrepancy * np.std(model)
+    cov = noise.slow**2 * np.exp(-lag / noise.slow_time)
+    cov += scale**2 * _discrepancy_correlation(lag, frequency) + noise.tare**2
+    for row in (CHANNELS[channel].gain * model, *spans):
+        cov += np.outer(row, row)
+    return cholesky(cov + np.diag(np.broadcast_to(np.square(noise.white), t.shape)), lower=True)
+
+
+@pytest.mark.parametrize("frequency", [None, 1.0, 4.8])
+@pytest.mark.parametrize("n", [20, BLOCK])
+def test_a_short_series_is_whitened_by_the_exact_covariance(n, frequency):
+    rng = np.random.default_rng(4)
+    t = np.sort(rng.uniform(0.0, n / 500.0, n))
+    noise = NOISE._replace(white=0.02 * np.exp(rng.normal(size=n)))
+    signal, spans = 0.3 * np.sin(9.0 * t), 0.1 * rng.normal(size=(2, n))
+    series = rng.normal(size=(4, n))
+    white = Whitener(t, noise, signal, "thrust", frequency, spans)(series)
+    exact = solve_triangular(
+        dense_root(t, noise, signal, "thrust", frequency, spans), series.T, lower=True
+    )
+    scale = np.abs(exact.T @ exact).max()
+    np.testing.assert_allclose(white @ white.T, exact.T @ exact, rtol=0.0, atol=1e-10 * scale)
+
+
+EVEN = np.arange(3000) / 500.0
+UNEVEN = np.sort(np.random.default_rng(5).uniform(0.0, 6.0, 3000))
+GAPS = EVEN + 0.7 * (EVEN > 0.2) + 1.9 * (EVEN > 3.3)
+LOUD = NOISE._replace(white=0.02 * np.exp(0.5 * np.random.default_rng(6).normal(size=3000)))
+PRESSURE = Noise(white=750.0)
+
+
+@pytest.mark.parametrize(
+    ("t", "noise", "channel", "amplitude", "frequency"),
+    [
+        (EVEN, NOISE, "thrust", 0.3, None),
+        (EVEN, NOISE, "thrust", 0.3, 1.0),
+        (EVEN, NOISE, "thrust", 0.3, 2.2),
+        (EVEN, NOISE, "recoil", 2.0, 4.8),
+        (EVEN, PRESSURE, "p_front", 2e5, 1.0),
+        (EVEN, PRESSURE, "p_front", 2e5, 2.2),
+        (EVEN, PRESSURE, "p_front", 2e5, 4.8),
+        (UNEVEN, NOISE, "thrust", 0.3, 2.2),
+        (GAPS, NOISE, "recoil", 2.0, 2.2),
+        (EVEN, LOUD, "thrust", 0.3, 2.2),
+    ],
+)
+def test_a_long_series_is_whitened_as_by_the_dense_covariance(
+    t, noise, channel, amplitude, frequency
+):
+    """The tolerances were chosen before the comparison: 2 % of the variance, 5 % of information."""
+    f = frequency or 1.0
+    signal = amplitude * np.sin(2 * np.pi * f * t)
+    root = dense_root(t, noise, signal, channel, frequency)
+    whiten = Whitener(t, noise, signal, channel, frequency)
+    sampled = np.random.default_rng(7).normal(size=(40, len(t))) @ root.T
+    white = whiten(sampled)
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.02)
+    blocks = np.mean(white.reshape(40, 10, -1) ** 2, axis=(0, 2))
+    assert np.abs(blocks - 1.0).max() < 0.06
+    tangents = np.stack(
+        [
+            np.sin(2 * np.pi * f * t),
+            np.cos(2 * np.pi * f * t),
+            np.sin(2 * np.pi * 0.3 * t),
+            t,
+            np.ones_like(t),
+            1.0 * (t > 2.2),
+            np.sign(np.sin(2 * np.pi * f * t + 0.1)),
+        ]
+    )
+    exact = np.sum(solve_triangular(root, tangents.T, lower=True) ** 2, axis=0)
+    np.testing.assert_allclose(np.sum(whiten(tangents) ** 2, axis=1), exact, rtol=0.05)
+
+
+def test_no_sample_of_a_long_trial_is_averaged_away():
+    """The error is a change of shape with 20 % of the amplitude, in a trial of 100 s."""
+    t = np.arange(50_000) / 500.0
+    error = 2e4 * np.sign(np.cos(2 * np.pi * 2.083 * t))
+    whiten = Whitener(t, PRESSURE, 1e5 * np.sin(2 * np.pi * 2.083 * t), "p_front", 2.083)
+    white = whiten(error)
+    assert white.shape == (1, len(t))
+    assert np.mean(white**2) > 10.0
+
+
+def test_memory_is_proportional_to_the_length_of_the_series():
+    t = np.arange(60_000) / 500.0
+    series = np.random.default_rng(8).normal(size=(5, len(t)))
+    tracemalloc.start()
+    Whitener(t, PRESSURE, 1e5 * np.sin(2 * np.pi * 2.2 * t), "p_front", 2.2)(series)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 30e6 + 4.0 * series.nbytes
 
 
 def test_a_gain_within_its_share_counts_less_than_a_change_of_shape():
