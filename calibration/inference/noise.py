@@ -87,12 +87,12 @@ class Whitener:
     discrepancy is correlated between strides. Tare, gain and `spans` (k, n) are marginalised. Each
     span is a series that is multiplied by an unknown random factor of unit variance.
 
-    The covariance is S + U^T U. The rows of U (k, n) are tare, gain and spans. S is the covariance
-    of white noise, slow noise and discrepancy. A Kalman filter whitens S by blocks of samples: the
-    covariance within a block is exact, and `_Modes` is the state that links the blocks. The result
-    is then multiplied by (I + V^T V)^(-1/2), where V are the whitened rows of U. Time and memory
-    are proportional to n. Source: Rauch, H. E. (1963), IEEE Trans. Autom. Control 8, 371-372, for
-    the filter with noise that is correlated between state and reading.
+    The covariance is S + U^T U. The rows of U are tare, gain and spans. S is the covariance of
+    white noise, slow noise and discrepancy. A Kalman filter whitens the noise S by blocks of
+    samples. The covariance within a block is exact, and the state `_Modes` links the blocks. The
+    result is multiplied by (I + V^T V)^(-1/2), and the rows of V are the whitened rows of U. Time
+    and memory are proportional to n. Source: Solin, A. and Särkkä, S. (2014), PMLR 33, 904-912, for
+    the state of a periodic correlation.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class Whitener:
         self._edges = [*range(0, len(t), BLOCK), len(t)]
         numbers = range(len(self._edges) - 1)
         repeated = (i for i in numbers[:-1] if _same(self._pattern(i), self._pattern(i + 1)))
-        self._regular = self._made(self._pattern(next(repeated, 0)))
+        self._regular = self._matrices(self._pattern(next(repeated, 0)))
         self._gains = self._filter()
         unknown = [noise.tare * np.ones_like(t), CHANNELS[channel].gain * model]
         rows = np.stack(unknown if spans is None else [*unknown, *spans])
@@ -130,6 +130,7 @@ class Whitener:
         return white
 
     def _pattern(self, number: int) -> "_Pattern":
+        """Returns the sample times and noise of a block."""
         first, last = self._edges[number : number + 2]
         lag = self._t[first:last] - self._t[first]
         # The state after the last block is not used, so any length of this block is correct.
@@ -141,9 +142,10 @@ class Whitener:
         pattern = self._pattern(number)
         if _same(self._regular.pattern, pattern):
             return self._regular.cut(len(pattern.lag))
-        return self._made(pattern)
+        return self._matrices(pattern)
 
-    def _made(self, pattern: "_Pattern") -> "_Block":
+    def _matrices(self, pattern: "_Pattern") -> "_Block":
+        """Returns the matrices of a block with the given sample times and noise."""
         lag, span = pattern.lag, pattern.lag[-1] if np.isnan(pattern.span) else pattern.span
         gap = np.abs(lag[:, None] - lag[None])
         cov = self._noise.slow**2 * np.exp(-gap / self._noise.slow_time)
@@ -232,12 +234,12 @@ class _Modes(NamedTuple):
         return cls(*np.hstack([slow, cosines, sines]))
 
     def columns(self, offset: np.ndarray) -> np.ndarray:
-        """Returns the covariance (n, r) of readings with the state, `offset` (n,) [s] before."""
+        """Returns the covariance (n, r) of the state with readings `offset` (n,) [s] later."""
         decay = self.size * np.exp(-np.abs(offset)[:, None] * self.rate)
         return decay * np.cos(offset[:, None] * self.omega + self.phase)
 
     def turn(self, span: float) -> np.ndarray:
-        """Returns the covariance (r, r) of the state `span` [s] later with the state."""
+        """Returns the covariance (r, r) of the state `span` [s] later with the present state."""
         angle = (self.omega * span - self.phase)[:, None] + self.phase
         own = self.order[:, None] == self.order
         return np.where(own, np.exp(-self.rate * span)[:, None] * np.cos(angle), 0.0)

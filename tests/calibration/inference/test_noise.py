@@ -132,14 +132,25 @@ def test_no_sample_of_a_long_trial_is_averaged_away():
     assert np.mean(white**2) > 10.0
 
 
-def test_memory_is_proportional_to_the_length_of_the_series():
-    t = np.arange(60_000) / 500.0
-    series = np.random.default_rng(8).normal(size=(5, len(t)))
+def memory(n):
+    """Returns the bytes that a whitener of n samples keeps, and the peak when it whitens."""
+    t = np.arange(n) / 500.0
+    series = np.random.default_rng(8).normal(size=(5, n))
+    signal = 1e5 * np.sin(2 * np.pi * 2.2 * t)
     tracemalloc.start()
-    Whitener(t, PRESSURE, 1e5 * np.sin(2 * np.pi * 2.2 * t), "p_front", 2.2)(series)
+    whiten = Whitener(t, PRESSURE, signal, "p_front", 2.2)
+    kept = tracemalloc.get_traced_memory()[0]
+    tracemalloc.reset_peak()
+    whiten(series)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 30e6 + 4.0 * series.nbytes
+    return kept, peak - kept
+
+
+def test_memory_grows_by_a_few_numbers_per_sample():
+    (kept, peak), (more, higher) = memory(60_000), memory(90_000)
+    assert more - kept < 5 * 8 * 30_000
+    assert higher - peak < 2 * 5 * 8 * 30_000
 
 
 def test_a_gain_within_its_share_counts_less_than_a_change_of_shape():
