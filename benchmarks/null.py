@@ -61,7 +61,6 @@ def outcome_record(outcome: LoopOutcome, truth: Mapping[str, float]) -> dict[str
     return {
         "verdict": outcome.verdict,
         "effects": report.effect_records(outcome),
-        "nearest": report.nearest_effects(outcome),
         "where": report.residual_records(outcome),
         "candidates": [row for row in report.candidate_records(outcome) if "explained" in row],
         "parameters": cover,

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from unknown_effects import UNKNOWN_EFFECTS
 
-from calibration.discrepancy.verdict import CLASS, IDENTIFIED, NAMED, NOTHING, UNEXPLAINED
+from calibration.discrepancy.verdict import BEYOND_PRIOR, INCONCLUSIVE, NOTHING, PARTLY, UNEXPLAINED
 from slider_jax.effects.library import LIBRARY
 
 METHODS = ("refit only", "sparse", "stepwise", "gp", "loop", "oracle")
@@ -24,12 +24,17 @@ def read_cases(out: Path, kind: str) -> list[dict[str, Any]]:
 
 
 def named_causes(case: dict[str, Any], method: str = "loop") -> list[set[str]]:
-    """Returns the named causes, each as a set of equivalent effects."""
+    """Returns the named causes, each as a set of equivalent effects.
+
+    The loop names no cause in channels with a residual above the noise floor.
+    """
     if method == "loop":
-        if case["verdict"] not in NAMED:
-            return []
-        return [{e["name"], *e["class"]} for e in case["effects"]]
+        return [{e["name"], *e["class"]} for e in case["effects"] if _is_named(case, e)]
     return [{name} for name in case["named_by"].get(method, [])]
+
+
+def _is_named(case: dict[str, Any], effect: dict[str, Any]) -> bool:
+    return case["verdict"] != INCONCLUSIVE and not effect["above_floor"]
 
 
 def matched_effects(causes: Sequence[set[str]], truth: Iterable[str]) -> int:
@@ -72,16 +77,15 @@ def skills(found: Iterable[dict[str, Any]], method: str = "loop") -> list[float]
 def location_verdict(case: dict[str, Any]) -> str:
     """Returns the rating of the loop's verdict on an effect outside the library."""
     truth = UNKNOWN_EFFECTS[case["case"]["stranger"]]
-    if case["verdict"] == IDENTIFIED:
-        return "wrong name"
-    if case["verdict"] == CLASS:
-        places = {LIBRARY[n].place() for cause in named_causes(case) for n in cause}
+    causes = named_causes(case)
+    if causes:
+        doubted = all(e["class"] or e["status"] == BEYOND_PRIOR for e in case["effects"])
+        if not doubted:
+            return "wrong name"
+        places = {LIBRARY[n].place() for cause in causes for n in cause}
         return "right place" if places & set(truth.places) else "wrong place"
-    if case["verdict"] != UNEXPLAINED:
+    if case["verdict"] not in (PARTLY, UNEXPLAINED):
         return case["verdict"]
-    if not case["where"]:  # an effect at the limit of its prior range replaces the cause
-        near = {e["where"] for e in case["nearest"]}
-        return "right place" if near & set(truth.places) else "wrong place"
     worst = max(case["where"], key=lambda x: x["mean_square_over_noise"])
     return "right place" if worst["channel"] in truth.channels else "wrong place"
 
@@ -106,7 +110,7 @@ def summary_tables(out: Path) -> str:
         ]
         for size in sorted({x["case"]["size"] for x in singles}):
             of = [x for x in singles if x["case"]["size"] == size]
-            named = [x for x in of if x["verdict"] in NAMED]
+            named = [x for x in of if named_causes(x)]
             sizes = [len(c) for x in named for c in named_causes(x)]
             skill = skills(named) or [np.nan]
             lines.append(
@@ -135,7 +139,7 @@ def summary_tables(out: Path) -> str:
         lines += [f"{rating}: {_case_line(x)}" for rating, x in pairs]
         parts.append("\n".join(lines))
     everything = [*singles, *doubles, *unknown_effects]
-    skill = skills(x for x in everything if x["verdict"] in NAMED)
+    skill = skills(x for x in everything if named_causes(x))
     if skill:
         parts.append(
             f"Held-out skill in {len(skill)} cases with a named effect: median "
@@ -151,7 +155,7 @@ def _null_table(tanks: Sequence[dict[str, Any]]) -> str:
     lines = [
         f"{len(nulls)} replicates of {len(tanks)} tanks without a missing effect: "
         f"{sum(r['verdict'] != NOTHING for r in nulls)} have a verdict other than nothing missing, "
-        f"{sum(r['verdict'] in NAMED for r in nulls)} name an effect.",
+        f"{sum(bool(named_causes(r)) for r in nulls)} name an effect.",
         "",
         "| | interval contains the truth | noise interval contains the fit without noise |",
         "|---|---|---|",

@@ -5,10 +5,12 @@ from dataclasses import dataclass, field, replace
 
 from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import residual_outliers
+from calibration.discrepancy.ranges import widen_ranges
 from calibration.discrepancy.rounds import Selection
 from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
-from calibration.discrepancy.verdict import NAMED, reach_verdict
+from calibration.discrepancy.verdict import EffectStatus, judge_effects, reach_verdict
+from calibration.discrepancy.veto import veto_effects
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, channel_errors, excess
@@ -32,7 +34,8 @@ class LoopOutcome:
     """The result of the loop on one experiment."""
 
     experiment: Experiment
-    entries: list[Parameter]
+    entries: Sequence[Parameter]
+    """Entries of the parameter vector, with the prior ranges of the final fit."""
     verdict: str
     search: Selection
     final: Fit
@@ -49,18 +52,21 @@ class LoopOutcome:
     """Held-out trials, as indices of `problem.records`."""
     audit: list[Finding] = field(default_factory=list)
     """Faults of the data and the actions taken."""
-    nearest: Fit | None = None
-    """The fit with selected effects that the verdict rejects; None if there are none."""
 
     @property
     def effects(self) -> list[str]:
-        """Effects added to the model: the selected effects if the verdict names them, or none."""
-        return self.search.effects if self.verdict in NAMED else []
+        """Effects added to the model: all effects that passed their tests."""
+        return self.search.effects
+
+    @property
+    def statuses(self) -> list[EffectStatus]:
+        """Status of each added effect."""
+        return judge_effects(self.search, self.final.theta, self.excess)
 
     @property
     def chosen(self) -> Fit:
         """The chosen model, fitted to the trials that were not held out."""
-        return self.search.final if self.effects else self.search.base
+        return self.search.final
 
     def interval(self, index: int) -> tuple[float, float, float]:
         """Returns value, lower and upper 95 % bound of the fitted parameter `entries[index]`."""
@@ -132,7 +138,7 @@ def close_loop_on_trials(
         )
 
     outcome = outcome_of(audited.records)
-    each = excess(outcome.problem, outcome.nearest or outcome.final)
+    each = excess(outcome.problem, outcome.final)
     trials = [r.trial for r in outcome.problem.records]
     outlying = residual_outliers(trials, {c: x.trials for c, x in each.items()})
     named = {x.trial for x in outlying}
@@ -155,7 +161,7 @@ def conclude(
     progress: Callable[[str], None],
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Selects effects, reaches a verdict, predicts the held-out trials and refits to all trials."""
+    """Selects effects, tests them on the held-out trials, refits and reaches a verdict."""
     entries = model_parameters(names)
     used = [r for i, r in enumerate(found) if i not in held]
     all_trials = problem_of(found)
@@ -163,33 +169,32 @@ def conclude(
     result = select_effects(
         problem, entries, base_vector(entries, base), progress, base_names, settings
     )
-    before = excess(problem, result.base)
-    after = excess(problem, result.final) if result.effects else before
-    verdict = reach_verdict(result, entries, before, after)
-    named = verdict in NAMED
-    best = result.final if named else result.base
     held_out = {}
     if held:
         progress("predicting the held-out trials")
         rest = problem_of([found[i] for i in held])
-        held_out = channel_errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
+        veto_effects(result, problem, rest, progress)
+        held_out = channel_errors(
+            rest, *(rest.predict(f.theta) for f in (result.base, result.final))
+        )
     progress("refitting to all trials")
 
-    def refit(x: Fit) -> Fit:
-        return fit_gauss_newton(all_trials, entries, x.theta, x.free, progress)
+    def refit(x: Fit, ranges: Sequence[Parameter]) -> Fit:
+        return fit_gauss_newton(all_trials, ranges, x.theta, x.free, progress)
 
-    final = hausman_check(all_trials, refit(best))
-    nearest = refit(result.final) if result.effects and not named else None
+    final = widen_ranges(result, refit(result.final, result.entries), refit)
+    final = hausman_check(all_trials, final)
+    after = excess(problem, result.final)
+    verdict = reach_verdict(result, judge_effects(result, final.theta, after), after)
     return LoopOutcome(
         experiment,
-        entries,
+        result.entries,
         verdict,
         result,
         final,
         all_trials,
-        channel_errors(problem, result.base.predicted, best.predicted),
+        channel_errors(problem, result.base.predicted, result.final.predicted),
         held_out,
-        after if named else before,
+        after,
         held,
-        nearest=nearest,
     )

@@ -6,6 +6,8 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.localise import residual_text
+from calibration.discrepancy.report import effect_sentences, residual_sentence, veto_sentences
+from calibration.discrepancy.verdict import BEYOND_PRIOR, CLASS, IDENTIFIED, PROVISIONAL
 from calibration.reporting.html import embedded_png, render_page
 from calibration.reporting.parameters import widened
 from slider_jax.channels import CHANNELS, row_of
@@ -13,6 +15,13 @@ from slider_jax.io.figures import new_figure
 
 SHOWN_STRIDES = 3.0
 """Number of strides in the figure of readings, or of seconds if the trial has no frequency."""
+STATUS_TEXTS = {
+    IDENTIFIED: "the effect is a missing cause",
+    CLASS: "the effect or an equivalent effect is a missing cause",
+    BEYOND_PRIOR: "a parameter of the effect is outside its prior range",
+    PROVISIONAL: "the effect is a correction and may only resemble the cause",
+}
+"""Meaning of the statuses of added effects."""
 
 
 def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
@@ -28,6 +37,12 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
         title=outcome.experiment.name,
         record=record,
         sources=_sources(record["input"]),
+        statuses=[
+            [x["title"], x["name"], x["status"], STATUS_TEXTS[x["status"]], ", ".join(x["class"])]
+            for x in record["effects"]
+        ],
+        effect_lines=effect_sentences(outcome) + veto_sentences(outcome),
+        residual_line=residual_sentence(outcome),
         effect_files=_sources({"logs": record["effect_files"]}),
         errors=_errors(record["errors"]),
         held_out=_errors(record["held_out"]),

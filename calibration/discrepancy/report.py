@@ -1,5 +1,6 @@
 """Writes the loop's outcome as report.json, model.toml and text."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -7,7 +8,14 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.localise import locate_residuals
-from calibration.discrepancy.verdict import effects_at_bounds, effects_at_same_place
+from calibration.discrepancy.ranges import at_edge
+from calibration.discrepancy.verdict import (
+    INCONCLUSIVE,
+    NOTHING,
+    UNEXPLAINED,
+    EffectStatus,
+    channels_above_floor,
+)
 from calibration.model.extended import base_values
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
 from slider_jax.channels import CHANNELS
@@ -28,7 +36,9 @@ def loop_record(
         "verdict": outcome.verdict,
         "said": verdict_text(outcome),
         "effects": effect_records(outcome),
-        "nearest": nearest_effects(outcome),
+        "vetoed": veto_records(outcome),
+        "residual": residual_record(outcome),
+        "nearest": [],
         "parameters": {
             p.name: _interval(outcome, "", p.name)
             | {"given": given[p.name], "without_effects": outcome.search.base.theta[i]}
@@ -53,31 +63,31 @@ def loop_record(
 
 
 def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns every added effect with its equivalence class, alternatives and parameters."""
+    """Returns every added effect with its status, alternatives and parameters."""
     found, settings = [], outcome.search.settings
-    same_place = effects_at_same_place(outcome.search) if _above_floor(outcome) else []
-    for round_ in outcome.search.rounds:
-        if round_.chosen is None or round_.chosen not in outcome.effects:
-            continue
-        parts = same_place if round_.chosen in same_place else []
-        kind = LIBRARY[round_.chosen]
-        refit = next(t for t in round_.refitted if t.name == round_.chosen)
+    for x in outcome.statuses:
+        round_ = next(r for r in outcome.search.rounds if r.chosen == x.name)
+        kind = LIBRARY[x.name]
+        refit = next(t for t in round_.refitted if t.name == x.name)
         found.append(
             {
-                "name": round_.chosen,
+                "name": x.name,
                 "title": kind.title,
-                "class": round_.equivalent + [n for n in parts if n != round_.chosen],
+                "status": x.status,
+                "class": x.equivalent,
+                "above_floor": x.above_floor,
+                "beyond_prior": [_beyond_record(outcome, i) for i in x.beyond],
                 "in_place_of": round_.replaced,
                 "rivals": [
                     {
                         "name": n,
-                        "loss": x.loss,
-                        "channels": x.sizes,
-                        "told_apart": settings.worth_naming(x.loss, x.sizes),
+                        "loss": a.loss,
+                        "channels": a.sizes,
+                        "told_apart": settings.worth_naming(a.loss, a.sizes),
                     }
-                    for n, x in round_.alternatives.items()
+                    for n, a in round_.alternatives.items()
                 ],
-                "parameters": {p: _interval(outcome, round_.chosen, p) for p in kind.priors()},
+                "parameters": {p: _interval(outcome, x.name, p) for p in kind.priors()},
                 "where": kind.place(),
                 "channels": {c: share for c, share in refit.sizes.items() if share > 1e-4},
                 "gain": refit.gain,
@@ -86,16 +96,46 @@ def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
     return found
 
 
-def nearest_effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns the selected effects if the verdict does not name them, or else an empty list."""
-    names = [] if outcome.effects else outcome.search.effects
-    return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
+def _beyond_record(outcome: LoopOutcome, index: int) -> dict[str, Any]:
+    """Returns a parameter's declared prior range with its reason, and the range of the fit."""
+    search, p = outcome.search, outcome.entries[index]
+    declared, value = search.declared[index], float(outcome.final.theta[index])
+    return {
+        "parameter": p.name,
+        "value": value,
+        "unit": p.prior.unit,
+        "range": [declared.low, declared.high],
+        "why": declared.why,
+        "widened_range": [p.prior.low, p.prior.high],
+        "at_edge_of_widened_range": at_edge(value, p.prior, search.settings.bound_margin),
+    }
 
 
-def _above_floor(outcome: LoopOutcome) -> list[str]:
-    """Returns the channels whose residual exceeds the noise floor."""
-    floor = outcome.search.settings.noise_floor
-    return [c for c, x in outcome.excess.items() if x.all > floor]
+def veto_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
+    """Returns the selected effects that were removed because they increase the held-out error."""
+    return [
+        {"name": n, "title": LIBRARY[n].title, "log_growth": x.mean, "standard_error": x.error}
+        for n, x in outcome.search.vetoed.items()
+    ]
+
+
+def residual_record(outcome: LoopOutcome) -> dict[str, Any]:
+    """Returns the second part of the verdict: the status and the pattern of the residual.
+
+    `where` and `pattern` are None for channels whose residual is at the noise floor.
+    """
+    located = {x["channel"]: x for x in residual_records(outcome)}
+    channels: dict[str, Any] = {}
+    for channel, x in outcome.excess.items():
+        channels[channel] = {"mean_square": x.all, "where": None, "pattern": None}
+        if channel in located:
+            here = located[channel]
+            settings = ("frequency_Hz", "amplitude_Pa", "tow_speed_m_per_s")
+            channels[channel] |= {
+                "where": {"trial": here["worst_trial"]} | {n: here[n] for n in settings},
+                "pattern": here["in_worst_trial"] | {"grows_with": here["grows_with"]},
+            }
+    return {"status": "above_floor" if located else "at_floor", "channels": channels}
 
 
 def _interval(outcome: LoopOutcome, effect: str, name: str) -> dict[str, Any]:
@@ -126,34 +166,101 @@ def residual_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 
 def verdict_text(outcome: LoopOutcome) -> str:
-    """Returns the verdict as a sentence."""
-    names = outcome.search.effects
-    titles = ", ".join(f"{LIBRARY[n].title} ({n})" for n in names)
-    match outcome.verdict:
-        case "nothing_missing":
-            return "No effect is missing at the precision of these data: the residual is noise."
-        case "identified":
-            return f"The model lacked: {titles}."
-        case "class":
-            others = ", ".join(n for e in effect_records(outcome) for n in e["class"])
-            return (
-                f"The model lacked: {titles}. These data cannot discriminate between "
-                f"{'this effect' if len(names) == 1 else 'these effects'} and {others}."
-            )
-        case "unexplained":
-            channels = ", ".join(_above_floor(outcome))
-            text = "The model lacks an effect"
-            text += f" in {channels}" if channels else ""
-            text += ", and no candidate explains the residual."
-            edge = effects_at_bounds(outcome.search, outcome.entries)
-            if edge:
-                text += f" A parameter is at a bound of its prior range: {', '.join(edge)}."
-            elif names:
-                text += f" With the best candidate, {titles}, the residual is still too large."
-            return text
+    """Returns both parts of the verdict as sentences: the effects, then the residual."""
+    return " ".join(verdict_sentences(outcome))
+
+
+def verdict_sentences(outcome: LoopOutcome) -> list[str]:
+    """Returns the sentences of `verdict_text`."""
+    return [
+        *_opening(outcome),
+        *effect_sentences(outcome),
+        *veto_sentences(outcome),
+        residual_sentence(outcome),
+    ]
+
+
+def _opening(outcome: LoopOutcome) -> list[str]:
+    if outcome.verdict == NOTHING:
+        return ["No effect is missing at the precision of these data."]
+    if outcome.verdict == UNEXPLAINED:
+        channels = ", ".join(channels_above_floor(outcome.excess, outcome.search.settings))
+        return [f"The model lacks an effect in {channels}, and no candidate explains the residual."]
+    if outcome.verdict != INCONCLUSIVE:
+        return []
     if not outcome.search.final.converged:
-        return "Inconclusive: the final fit did not converge."
-    return "Inconclusive: a candidate has a significant gain, but fails the cross-validation."
+        return ["Inconclusive: the final fit did not converge."]
+    if outcome.search.vetoed:
+        return ["Inconclusive: the held-out trials contradict the selected effect."]
+    return ["Inconclusive: a candidate has a significant gain, but fails the cross-validation."]
+
+
+def effect_sentences(outcome: LoopOutcome) -> list[str]:
+    """Returns the first part of the verdict: which effects are causes, and which corrections."""
+    found, text = outcome.statuses, []
+    corrections = [x for x in found if x.above_floor or not outcome.search.final.converged]
+    causes = [x for x in found if x not in corrections]
+    if causes:
+        text.append(f"The model lacked: {_titles(causes)}.")
+    if corrections:
+        channels = ", ".join(dict.fromkeys(c for x in corrections for c in x.above_floor))
+        one = len(corrections) == 1
+        as_, these = ("a correction", "The effect") if one else ("corrections", "These effects")
+        text.append(f"As {as_}, the model contains: {_titles(corrections)}.")
+        if channels:
+            text.append(
+                f"{these} may only resemble the cause, because the residual of {channels} remains "
+                "above the noise floor."
+            )
+    for x in found:
+        if x.equivalent:
+            others = ", ".join(x.equivalent)
+            text.append(f"These data cannot discriminate between {x.name} and {others}.")
+        text += [_beyond_sentence(x.name, _beyond_record(outcome, i)) for i in x.beyond]
+    return text
+
+
+def _titles(effects: Sequence[EffectStatus]) -> str:
+    return ", ".join(f"{LIBRARY[x.name].title} ({x.name})" for x in effects)
+
+
+def _beyond_sentence(name: str, x: dict[str, Any]) -> str:
+    unit = "" if x["unit"] == "-" else f" {x['unit']}"
+    low, high = x["range"]
+    text = (
+        f"{name}.{x['parameter']} = {x['value']:.4g}{unit} is outside its prior range of {low:.4g} "
+        f"to {high:.4g}{unit} ({x['why']})."
+    )
+    if x["at_edge_of_widened_range"]:
+        low, high = x["widened_range"]
+        text += (
+            f" The value is also at an edge of the wider range of the fit, {low:.4g} to "
+            f"{high:.4g}{unit}."
+        )
+    return text
+
+
+def veto_sentences(outcome: LoopOutcome) -> list[str]:
+    """Returns a sentence on each effect that the held-out trials contradict."""
+    return [
+        f"The selected effect {name} ({LIBRARY[name].title}) was removed, because it increases the "
+        f"sum of squares in the held-out trials by {100.0 * np.expm1(x.mean):.3g} %."
+        for name, x in outcome.search.vetoed.items()
+    ]
+
+
+def residual_sentence(outcome: LoopOutcome) -> str:
+    """Returns the second part of the verdict: whether the residual is noise, or where it is not."""
+    above = channels_above_floor(outcome.excess, outcome.search.settings)
+    if not above:
+        return "The residual is at the noise floor."
+    fitted = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
+    parts = [
+        f"{c} (mean square {outcome.excess[c].all:.3g} times that of the noise, largest in "
+        f"{fitted[int(np.nanargmax(outcome.excess[c].trials))].trial.file})"
+        for c in above
+    ]
+    return f"The residual is above the noise floor in {', '.join(parts)}."
 
 
 def parameter_lines(record: dict[str, Any]) -> list[str]:
@@ -181,4 +288,4 @@ def loop_model_toml(outcome: LoopOutcome) -> str:
     entries, final = outcome.entries, outcome.final
     kept = [i for i, p in enumerate(entries) if p.effect or i in final.free]
     tables = model_tables([entries[i] for i in kept], final.theta[kept], outcome.effects)
-    return toml_text(tables, verdict_text(outcome))
+    return toml_text(tables, "\n".join(verdict_sentences(outcome)))

@@ -12,6 +12,7 @@ from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import Fit
 from calibration.model.extended import Parameter
 from slider_jax.channels import row_of
+from slider_jax.effects import Prior
 
 
 class Agreement(NamedTuple):
@@ -60,6 +61,20 @@ class Alternative(NamedTuple):
     """rms difference between the readings of the two fits, as a fraction of each channel's rms."""
 
 
+class Growth(NamedTuple):
+    """Growth of the error in the held-out trials by an effect."""
+
+    mean: float
+    """Mean of log(S1/S0) over the held-out trials, with the whitened sums of squares S0 without
+    the effect and S1 with the effect."""
+    error: float
+    """Standard error of `mean` that noise alone causes."""
+
+    def vetoes(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
+        """Returns whether the held-out trials contradict the effect."""
+        return self.mean > max(settings.veto_growth, settings.veto_errors * self.error)
+
+
 @dataclass
 class SelectionStep:
     """One round of the selection: scores, refits, and the chosen effect with its alternatives."""
@@ -86,6 +101,12 @@ class Selection:
     effects: list[str]
     rounds: list[SelectionStep]
     settings: SelectionSettings = DEFAULT_SETTINGS
+    entries: Sequence[Parameter] = ()
+    """Entries of the parameter vector, with the prior ranges of the final fit."""
+    declared: dict[int, Prior] = field(default_factory=dict)
+    """Declared prior of each entry whose range became wider, because a fit ended at an edge."""
+    vetoed: dict[str, Growth] = field(default_factory=dict)
+    """Effects that were selected and then removed, because they increase the held-out error."""
 
 
 def effect_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:

@@ -10,10 +10,13 @@ missing, a wrong effect that resembles both can explain more than either missing
 Zhang, T. (2011), Adaptive forward-backward greedy algorithm for learning sparse representations,
 IEEE Trans. Inf. Theory 57, 4689-4708.
 
-After the selection, alternatives that fit better replace the chosen effects (`alternatives`).
+If the fit of a chosen effect ends at an edge of its prior range, the range becomes wider
+(`ranges`). After the selection, alternatives that fit better replace the chosen effects
+(`alternatives`).
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +25,7 @@ from calibration.discrepancy.alternatives import (
     equivalent_effects,
     judge_alternatives,
 )
+from calibration.discrepancy.ranges import widen_ranges
 from calibration.discrepancy.refits import Refits, initial_theta
 from calibration.discrepancy.rounds import (
     Refit,
@@ -96,9 +100,9 @@ def select_effects(
     white = problem.whiteners(first.predicted)
     base = fit_gauss_newton(problem, entries, first.theta, free, progress, white)
     refits = Refits(problem, entries, white, progress, settings)
-    found = Selection(base, base, [], [], settings)
+    found = Selection(base, base, [], [], settings, entries)
     for swaps in range(settings.max_swaps + 1):
-        _add(refits, found)
+        refits = _add(refits, found)
         judge_alternatives(refits, found)
         swap = better_alternative(found)
         if swap is None or swaps == settings.max_swaps:
@@ -110,12 +114,28 @@ def select_effects(
         found.final = round_.alternatives[better].fit
         round_.equivalent = [round_.chosen, *(n for n in round_.equivalent if n != better)]
         round_.chosen, round_.replaced = better, round_.chosen
+        refits = _widen(refits, found)
         _remove_unnecessary(refits, found, round_)
     return found
 
 
-def _add(refits: Refits, found: Selection) -> None:
-    """Adds one effect in each round until no candidate exceeds the naming threshold."""
+def _widen(refits: Refits, found: Selection) -> Refits:
+    """Returns the refits with wider ranges if a parameter of a selected effect is at an edge."""
+
+    def refit(fit: Fit, entries: Sequence[Parameter]) -> Fit:
+        progress("refitting with a wider prior range")
+        return replace(refits, entries=entries).fit(fit.theta, fit.free)
+
+    progress = refits.progress
+    found.final = widen_ranges(found, found.final, refit)
+    return replace(refits, entries=found.entries)
+
+
+def _add(refits: Refits, found: Selection) -> Refits:
+    """Adds one effect in each round until no candidate exceeds the naming threshold.
+
+    Returns the refits with the prior ranges of the added effects.
+    """
     settings = refits.settings
     while len(found.effects) < settings.max_effects and len(found.rounds) < settings.max_rounds:
         rest = [n for n in effect_entries(refits.entries) if _can_join(n, found.effects)]
@@ -128,7 +148,9 @@ def _add(refits: Refits, found: Selection) -> None:
             break
         found.effects.append(round_.chosen)
         found.final = next(t.fit for t in round_.refitted if t.name == round_.chosen)
+        refits = _widen(refits, found)
         _remove_unnecessary(refits, found, round_)
+    return _widen(refits, found)
 
 
 def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:

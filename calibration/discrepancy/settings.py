@@ -71,11 +71,18 @@ class SelectionSettings:
     """After the selection, the loop compares the chosen effect with candidates that have more than
     this fraction of its gain. It is low because a wrong effect can explain part of another one."""
 
-    min_explained: float = 0.9
-    """If a channel's residual remains above the noise floor, the verdict names effects only if they
-    reduce the part of the whitened residual's rms above 1 by at least this fraction."""
     bound_margin: float = 0.01
-    """A parameter counts as at a bound if it is closer than this fraction of its prior range."""
+    """A parameter is at an edge if it is closer than this fraction of its prior range."""
+    range_factor: float = 3.0
+    """If a parameter of a selected effect is at an edge, the loop makes the range this many times
+    as wide about the null, within the physical limits, and refits."""
+    veto_growth: float = 0.05
+    """The held-out trials veto an effect only if the mean of log(S1/S0) exceeds this value. S0 and
+    S1 are the sums of squares without and with the effect. A growth by 5 % is too small to
+    discriminate it from a correlated residual."""
+    veto_errors: float = 2.0
+    """The mean must also exceed this multiple of its standard error. If models without and with the
+    effect predict equally well, noise alone exceeds two standard errors in 2 % of the cases."""
 
     def worth_naming(self, gain: float, sizes: dict[str, float]) -> bool:
         """Returns whether an effect exceeds the naming threshold.

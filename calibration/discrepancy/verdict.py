@@ -1,69 +1,93 @@
-"""Computes the verdict on a selection of effects."""
+"""Computes the verdict: a status for each added effect, and whether the residual is noise."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
-from calibration.discrepancy.rounds import Selection, scoring_entries
+from calibration.discrepancy.ranges import at_edge
+from calibration.discrepancy.rounds import Selection
+from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.goodness import Excess
-from calibration.model.extended import Parameter
-from slider_jax.effects.library import LIBRARY
+from slider_jax.channels import CHANNELS
 
 NOTHING, IDENTIFIED, CLASS = "nothing_missing", "identified", "class"
-UNEXPLAINED, INCONCLUSIVE = "unexplained", "inconclusive"
-NAMED = (IDENTIFIED, CLASS)
-"""Verdicts after which effects are added to the model."""
+PARTLY, UNEXPLAINED, INCONCLUSIVE = "partly_explained", "unexplained", "inconclusive"
+BEYOND_PRIOR, PROVISIONAL = "beyond_prior", "provisional"
+"""Statuses of an added effect, beside `IDENTIFIED` and `CLASS`."""
 
 
-def effects_at_bounds(search: Selection, entries: Sequence[Parameter]) -> list[str]:
-    """Returns the added effects with a parameter at a bound of its prior range."""
-    found, judged = [], scoring_entries(entries)
-    for i, p in enumerate(entries):
-        if p.effect not in search.effects or i not in judged[p.effect]:
+class EffectStatus(NamedTuple):
+    """The first part of the verdict, for one added effect."""
+
+    name: str
+    status: str
+    equivalent: list[str]
+    """Effects that these data cannot discriminate from the effect."""
+    above_floor: list[str]
+    """Channels that the effect changes and whose residual is above the noise floor."""
+    beyond: list[int]
+    """Parameters (indices of the entries) with a value outside the declared prior range."""
+
+
+def channels_above_floor(after: Mapping[str, Excess], settings: SelectionSettings) -> list[str]:
+    """Returns the channels whose residual is above the noise floor."""
+    return [c for c, x in after.items() if x.all > settings.noise_floor]
+
+
+def parameters_beyond_prior(search: Selection, theta: np.ndarray, name: str) -> list[int]:
+    """Returns the parameters of an effect that are outside their declared prior range."""
+    found = []
+    for i, declared in search.declared.items():
+        p, x = search.entries[i], theta[i]
+        outside = at_edge(x, declared, 0.0)
+        if p.effect == name and (outside or at_edge(x, p.prior, search.settings.bound_margin)):
+            found.append(i)
+    return sorted(found)
+
+
+def judge_effects(
+    search: Selection, theta: np.ndarray, after: Mapping[str, Excess]
+) -> list[EffectStatus]:
+    """Returns the status of each added effect. `theta` and `after` are those of the final model.
+
+    An effect is provisional if the residual of a channel that it changes is above the noise floor,
+    or if the final fit did not converge.
+    """
+    left, found = channels_above_floor(after, search.settings), []
+    for round_ in search.rounds:
+        name = round_.chosen
+        if name is None or name not in search.effects:
             continue
-        x, span = search.final.theta[i], p.prior.high - p.prior.low
-        edges = [e for e in (p.prior.low, p.prior.high) if e != p.prior.null]
-        if any(abs(x - e) < search.settings.bound_margin * span for e in edges):
-            found.append(p.effect)
-    return list(dict.fromkeys(found))
+        sizes = next(t.sizes for t in round_.refitted if t.name == name)
+        above = [c for c in left if sizes.get(c, 0.0) > CHANNELS[c].discrepancy]
+        beyond = parameters_beyond_prior(search, theta, name)
+        doubtful = bool(above) or not search.final.converged
+        status = _status(round_.equivalent, beyond, doubtful)
+        found.append(EffectStatus(name, status, round_.equivalent, above, beyond))
+    return found
 
 
-def effects_at_same_place(search: Selection) -> list[str]:
-    """Returns added effects that act at the same place, without effects that replace a law."""
-    kinds = {name: LIBRARY[name] for name in search.effects if not LIBRARY[name].replaces_law}
-    places = [kind.place() for kind in kinds.values()]
-    return [name for name, kind in kinds.items() if places.count(kind.place()) > 1]
-
-
-def rms_reduction(before: float, after: float) -> float:
-    """Returns the relative reduction of (rms - 1) from the whitened residual's mean squares."""
-    start, end = (np.sqrt(max(x, 1.0)) - 1.0 for x in (before, after))
-    return float((start - end) / start) if start > 0.0 else 0.0
+def _status(equivalent: list[str], beyond: list[int], doubtful: bool) -> str:
+    if equivalent and not doubtful:
+        return CLASS
+    if beyond:
+        return BEYOND_PRIOR
+    return PROVISIONAL if doubtful else IDENTIFIED
 
 
 def reach_verdict(
-    search: Selection,
-    entries: Sequence[Parameter],
-    before: dict[str, Excess],
-    after: dict[str, Excess],
+    search: Selection, statuses: Collection[EffectStatus], after: Mapping[str, Excess]
 ) -> str:
-    """Returns the verdict; `before` and `after` are the excess of the base fit and final fit.
-
-    If an added effect has a parameter at a bound of its prior range, the verdict is "unexplained".
-    If a residual exceeds the noise floor, added effects at one place of the model form a class.
-    """
-    settings = search.settings
-    left = {c: x.all for c, x in after.items() if x.all > settings.noise_floor}
+    """Returns the overall verdict from the statuses of the effects and the final residual."""
+    left = channels_above_floor(after, search.settings)
     if not search.final.converged:
         return INCONCLUSIVE
-    if not search.effects:
+    if not statuses:
         if left:
             return UNEXPLAINED
         doubtful = [t for r in search.rounds for t in r.refitted if t.worth_naming]
         return INCONCLUSIVE if doubtful else NOTHING
-    if effects_at_bounds(search, entries):
-        return UNEXPLAINED
-    if not all(rms_reduction(before[c].all, after[c].all) >= settings.min_explained for c in left):
-        return UNEXPLAINED
-    equivalent = any(r.equivalent for r in search.rounds if r.chosen)
-    return CLASS if equivalent or (left and effects_at_same_place(search)) else IDENTIFIED
+    if left:
+        return PARTLY
+    return CLASS if any(x.status == CLASS for x in statuses) else IDENTIFIED

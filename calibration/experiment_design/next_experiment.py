@@ -1,9 +1,8 @@
 """Proposes the next trial to measure after a verdict of the loop.
 
-After "unexplained" and "inconclusive", the proposal repeats the trial with the largest residual.
-After "class", the same holds if a residual exceeds the noise floor; otherwise the proposed trial
-discriminates between the effects of the class. After all other verdicts, the proposed trial narrows
-the widest interval of a parameter.
+After "partly_explained", "unexplained" and "inconclusive", the proposal repeats the trial with the
+largest residual. After "class", the proposed trial discriminates between the effects of the class.
+After all other verdicts, the proposed trial narrows the widest interval of a parameter.
 """
 
 from collections.abc import Callable
@@ -13,7 +12,7 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.rounds import effect_entries
-from calibration.discrepancy.verdict import CLASS, INCONCLUSIVE, UNEXPLAINED
+from calibration.discrepancy.verdict import CLASS, INCONCLUSIVE, PARTLY, UNEXPLAINED
 from calibration.experiment_design.discriminate import discriminating_trial
 from calibration.experiment_design.information import (
     ChannelInformation,
@@ -51,8 +50,7 @@ def next_experiment(
 
     `limits` are the trial's limits (default: the widened ranges of the experiment's trials).
     """
-    left = any(x.all > outcome.search.settings.noise_floor for x in outcome.excess.values())
-    if outcome.verdict in (UNEXPLAINED, INCONCLUSIVE) or (outcome.verdict == CLASS and left):
+    if outcome.verdict in (PARTLY, UNEXPLAINED, INCONCLUSIVE):
         return _again(outcome)
     try:
         within = limits_of(outcome.experiment) if limits is None else limits

@@ -29,6 +29,8 @@ class Prior(NamedTuple):
     The effect vanishes at `null`. `start` is the value at which the loop (the search for missing
     effects) first tests the effect. An effect needs a start if the derivative at the null does not
     predict its influence, for example a deadband, a hard limit or a law that replaces the lag.
+    `physical` are the lowest and highest value that the law allows. The loop may widen the prior
+    range up to these limits, and never beyond an end that is the null.
     """
 
     null: float
@@ -37,13 +39,21 @@ class Prior(NamedTuple):
     unit: str
     why: str
     start: float | None = None
+    physical: tuple[float, float] = (-math.inf, math.inf)
 
 
 def parameter(
-    null: float, low: float, high: float, unit: str, why: str, start: float | None = None
+    null: float,
+    low: float,
+    high: float,
+    unit: str,
+    why: str,
+    start: float | None = None,
+    physical: tuple[float, float] = (-math.inf, math.inf),
 ) -> Any:
     """Returns a field for a parameter of an effect. The field's default value is `null`."""
-    return eqx.field(default=null, metadata={"prior": Prior(null, low, high, unit, why, start)})
+    prior = Prior(null, low, high, unit, why, start, physical)
+    return eqx.field(default=null, metadata={"prior": prior})
 
 
 def shape_parameter(value: float, low: float, high: float, unit: str, why: str) -> Any:

@@ -1,6 +1,7 @@
 """A body stiffer or softer than measured."""
 
 import dataclasses
+import math
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BodyChange, parameter
@@ -19,7 +20,12 @@ class BodyStiffness(BodyChange):
     segments = ("body",)
 
     x: Scalar = parameter(
-        0.0, -0.3, 0.4, "-", "10 % error of bending tests, and effects of age, tubes and a sleeve"
+        0.0,
+        -0.3,
+        0.4,
+        "-",
+        "10 % error of bending tests, and effects of age, tubes and a sleeve",
+        physical=(-0.95, math.inf),
     )
     """x, relative change of EI_body."""
 

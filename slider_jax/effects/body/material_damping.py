@@ -1,6 +1,7 @@
 """A change of the damping of the material."""
 
 import dataclasses
+import math
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BodyChange, parameter
@@ -20,7 +21,12 @@ class MaterialDamping(BodyChange):
     segments = ("body", "tail")
 
     x: Scalar = parameter(
-        0.0, -0.9, 4.0, "-", "the damping of rubber varies with batch, temperature and rate"
+        0.0,
+        -0.9,
+        4.0,
+        "-",
+        "the damping of rubber varies with batch, temperature and rate",
+        physical=(-1.0, math.inf),
     )
     """x, relative change of the damping time."""
 

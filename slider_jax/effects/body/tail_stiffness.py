@@ -1,6 +1,7 @@
 """A tail stiffer or softer than measured."""
 
 import dataclasses
+import math
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BodyChange, parameter
@@ -20,7 +21,12 @@ class TailStiffness(BodyChange):
     segments = ("tail",)
 
     x: Scalar = parameter(
-        0.0, -0.5, 0.8, "-", "a sheet thicker by a sixth has 1.6 times EI; the joint changes EI too"
+        0.0,
+        -0.5,
+        0.8,
+        "-",
+        "a sheet thicker by a sixth has 1.6 times EI; the joint changes EI too",
+        physical=(-0.95, math.inf),
     )
     """x, relative change of EI_tail."""
 

@@ -1,5 +1,7 @@
 """Different time constants for filling and venting."""
 
+import math
+
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
@@ -19,7 +21,12 @@ class FillVentAsymmetry(Flow):
     order = 70
 
     ratio: Scalar = parameter(
-        1.0, 0.3, 3.0, "-", "venting is up to three times slower or faster than filling"
+        1.0,
+        0.3,
+        3.0,
+        "-",
+        "venting is up to three times slower or faster than filling",
+        physical=(0.05, math.inf),
     )
     """r, time constant of venting divided by the time constant k of filling."""
 

@@ -1,5 +1,7 @@
 """Valves of the rig, pulsed by the published firmware, with choked or subsonic flow."""
 
+import math
+
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import parameter
 from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
@@ -30,16 +32,30 @@ class FirmwareValves(ValvePair):
     )
     """c_f, choked flow of the fill valve divided by the chamber's volume."""
     vent: Scalar = parameter(
-        1.5, 0.05, 8.0, "1/s", "a valve of 1 mm empties 0.1 l in a fraction of a second"
+        1.5,
+        0.05,
+        8.0,
+        "1/s",
+        "a valve of 1 mm empties 0.1 l in a fraction of a second",
+        physical=(0.0, math.inf),
     )
     """c_v, choked flow of the vent valve divided by the chamber's volume."""
     supply: Scalar = parameter(
-        450e3, 200e3, 1.1e6, "Pa", "gauge pressures of laboratory regulators and compressors"
+        450e3,
+        200e3,
+        1.1e6,
+        "Pa",
+        "gauge pressures of laboratory regulators and compressors",
+        physical=(0.0, math.inf),
     )
     """p_s, gauge pressure of the supply."""
-    critical: Scalar = parameter(0.3, 0.1, 0.6, "-", "0.2 to 0.5 for valves, 0.528 for a nozzle")
+    critical: Scalar = parameter(
+        0.3, 0.1, 0.6, "-", "0.2 to 0.5 for valves, 0.528 for a nozzle", physical=(0.0, 0.95)
+    )
     """b, critical pressure ratio."""
-    dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "short pulses do not lift the armature")
+    dead: Scalar = parameter(
+        0.05, 0.0, 0.5, "-", "short pulses do not lift the armature", physical=(0.0, 0.95)
+    )
     """Duty cycle below which a valve stays closed, as a fraction of full duty."""
 
     def flows(self, p):

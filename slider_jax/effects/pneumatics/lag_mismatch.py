@@ -1,5 +1,7 @@
 """Different time constants of the two chambers."""
 
+import math
+
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Flow, parameter
 
@@ -18,7 +20,12 @@ class LagMismatch(Flow):
     rear_only = True
 
     x: Scalar = parameter(
-        0.0, -0.5, 1.0, "-", "hoses and volumes of the two chambers differ by up to a factor of two"
+        0.0,
+        -0.5,
+        1.0,
+        "-",
+        "hoses and volumes of the two chambers differ by up to a factor of two",
+        physical=(-0.95, math.inf),
     )
     """x, relative difference of the rear chamber's time constant from the front chamber's k."""
 

@@ -35,7 +35,9 @@ class OrificeFlow(Flow):
     title = "compressible flow through the valves"
     order = 150
 
-    share: Scalar = parameter(0.0, 0.0, 1.0, "-", "0 for the linear lag, 1 for an orifice")
+    share: Scalar = parameter(
+        0.0, 0.0, 1.0, "-", "0 for the linear lag, 1 for an orifice", physical=(0.0, 1.0)
+    )
     """w, weight of orifice flow; 1 - w is the weight of the linear lag."""
     supply: Scalar = shape_parameter(
         600e3, 200e3, 1.1e6, "Pa", "gauge pressures of laboratory regulators and compressors"

@@ -1,5 +1,7 @@
 """Pulsed valves with laminar flow."""
 
+import math
+
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
@@ -26,14 +28,26 @@ class PulsedValves(ValvePair):
     )
     """c_f, laminar conductance of the fill valve."""
     vent: Scalar = parameter(
-        2.0, 0.05, 10.0, "1/s", "a valve of 1 mm empties 0.1 l in a fraction of a second"
+        2.0,
+        0.05,
+        10.0,
+        "1/s",
+        "a valve of 1 mm empties 0.1 l in a fraction of a second",
+        physical=(0.0, math.inf),
     )
     """c_v, laminar conductance of the vent valve."""
     supply: Scalar = parameter(
-        600e3, 200e3, 1.1e6, "Pa", "gauge pressures of laboratory regulators and compressors"
+        600e3,
+        200e3,
+        1.1e6,
+        "Pa",
+        "gauge pressures of laboratory regulators and compressors",
+        physical=(0.0, math.inf),
     )
     """p_s, gauge pressure of the supply."""
-    dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "short pulses do not lift the armature")
+    dead: Scalar = parameter(
+        0.05, 0.0, 0.5, "-", "short pulses do not lift the armature", physical=(0.0, 0.95)
+    )
     """Duty cycle below which a valve stays closed, as a fraction of full duty."""
 
     def flows(self, p):

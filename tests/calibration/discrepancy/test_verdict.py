@@ -3,43 +3,87 @@
 import numpy as np
 import pytest
 
-from calibration.discrepancy.rounds import Selection, SelectionStep
-from calibration.discrepancy.verdict import reach_verdict, rms_reduction
+from calibration.discrepancy.rounds import Agreement, Growth, Refit, Selection, SelectionStep
+from calibration.discrepancy.verdict import judge_effects, reach_verdict
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
 from calibration.model.extended import base_vector, model_parameters
 
 ENTRIES = model_parameters(("valve_delay", "tank_current"))
 BASE = {"C_d": 3.0, "m_a": 0.7, "k": 0.09, "K_Q": 4.8e-7}
+DELAY = 4
 
 
-def verdict(before: float, after: float, effects=("valve_delay",), equivalent=(), converged=True):
-    """Returns the verdict for `effects` and the tip's mean squares `before` and `after`."""
+def judged(
+    left=(), effects=("valve_delay",), equivalent=(), delay=0.02, widened=None, converged=True
+):
+    """Returns the verdict and the statuses of `effects`, which change only the tip by 10 %.
+
+    The channels in `left` have a mean square of 4. `widened` is the upper end of the delay's range.
+    """
     theta = base_vector(ENTRIES, BASE)
+    theta[DELAY] = delay
     fit = Fit(theta, np.arange(4), 1.0, 100, [], [], converged)
-    rounds = [SelectionStep([], [], name, list(equivalent)) for name in effects]
-    search = Selection(fit, fit, list(effects), rounds)
-    excesses = [{"tip": Excess(np.full(4, x), x)} for x in (before, after)]
-    return reach_verdict(search, ENTRIES, *excesses)
+    agreed, sizes = Agreement(9.0, 0.01), {"tip": 0.1, "thrust": 0.001}
+    rounds = [
+        SelectionStep([], [Refit(n, fit, 99.0, sizes, agreed, True)], n, list(equivalent))
+        for n in effects
+    ]
+    search = Selection(fit, fit, list(effects), rounds, entries=list(ENTRIES))
+    if widened is not None:
+        p = ENTRIES[DELAY]
+        search.entries[DELAY] = p._replace(prior=p.prior._replace(high=widened))
+        search.declared[DELAY] = p.prior
+    after = {c: Excess(np.full(4, 1.0), 4.0 if c in left else 1.0) for c in ("tip", "thrust")}
+    found = judge_effects(search, theta, after)
+    return reach_verdict(search, found, after), {x.name: x.status for x in found}
 
 
 def test_a_residual_at_the_noise_floor_is_explained():
-    assert verdict(1.1, 1.1, ()) == "nothing_missing"
-    assert verdict(4.0, 1.1) == "identified"
-    assert verdict(4.0, 1.1, equivalent=["tank_current"]) == "class"
+    assert judged(effects=()) == ("nothing_missing", {})
+    assert judged() == ("identified", {"valve_delay": "identified"})
+    assert judged(equivalent=["tank_current"]) == ("class", {"valve_delay": "class"})
 
 
-def test_an_effect_that_leaves_more_than_a_tenth_of_the_rms_is_not_named():
-    assert verdict(4.0, 4.0, ()) == "unexplained"
-    assert verdict(95.0, 4.5) == "unexplained"  # 96 % of the square, 87 % of the rms
-    assert verdict(400.0, 4.5) == "identified"
+def test_a_residual_without_an_effect_is_unexplained():
+    assert judged(["tip"], effects=()) == ("unexplained", {})
+
+
+def test_an_effect_in_a_channel_above_the_noise_floor_is_provisional():
+    assert judged(["tip"]) == ("partly_explained", {"valve_delay": "provisional"})
+    assert judged(["tip"], equivalent=["tank_current"])[1] == {"valve_delay": "provisional"}
+
+
+def test_an_effect_is_identified_although_another_channel_is_above_the_noise_floor():
+    assert judged(["thrust"]) == ("partly_explained", {"valve_delay": "identified"})
+
+
+@pytest.mark.parametrize(
+    ("delay", "left", "verdict", "status"),
+    [
+        (0.09, [], "identified", "beyond_prior"),
+        (0.18, ["tip"], "partly_explained", "beyond_prior"),  # at the edge of the wider range
+        (0.05, [], "identified", "identified"),  # another effect moved the delay back
+    ],
+)
+def test_an_effect_outside_its_declared_range_is_beyond_its_prior(delay, left, verdict, status):
+    assert judged(left, delay=delay, widened=0.18) == (verdict, {"valve_delay": status})
+
+
+def test_equivalent_effects_take_precedence_over_the_prior_range():
+    found = judged(delay=0.09, widened=0.18, equivalent=["tank_current"])
+    assert found == ("class", {"valve_delay": "class"})
+
+
+def test_two_effects_have_a_status_each():
+    found = judged(effects=("valve_delay", "tank_current"), delay=0.09, widened=0.18)
+    assert found == ("identified", {"valve_delay": "beyond_prior", "tank_current": "identified"})
 
 
 def test_a_fit_that_did_not_converge_is_inconclusive():
-    assert verdict(400.0, 1.0, converged=False) == "inconclusive"
+    assert judged(converged=False) == ("inconclusive", {"valve_delay": "provisional"})
 
 
-def test_the_reduction_is_a_share_of_the_rms_above_the_floor():
-    assert rms_reduction(4.0, 1.0) == 1.0 and rms_reduction(4.0, 0.9) == 1.0
-    assert rms_reduction(4.0, 2.25) == pytest.approx(0.5)
-    assert rms_reduction(4.0, 9.0) == pytest.approx(-1.0) and rms_reduction(1.0, 1.0) == 0.0
+def test_a_growth_below_the_margin_or_within_chance_vetoes_nothing():
+    assert Growth(0.2, 0.05).vetoes()
+    assert not Growth(0.04, 0.001).vetoes() and not Growth(0.2, 0.11).vetoes()

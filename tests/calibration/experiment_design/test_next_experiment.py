@@ -82,7 +82,7 @@ def outcome(tank, verdict, final, rounds=(), after=None):
     )
 
 
-@pytest.mark.parametrize("verdict", ["unexplained", "inconclusive", "class"])
+@pytest.mark.parametrize("verdict", ["unexplained", "inconclusive", "partly_explained"])
 def test_the_trial_with_the_largest_residual_is_repeated(tank, verdict):
     after = {
         "thrust": Excess(np.array([2.0, np.nan]), 2.5),

@@ -1,0 +1,133 @@
+"""Both parts of the verdict, on a tank whose readings have a closed form.
+
+Each effect adds a tone to the thrust; the effects' physical meaning is not used.
+"""
+
+import json
+
+import numpy as np
+import pytest
+
+from calibration.discrepancy.close_loop import conclude
+from calibration.discrepancy.page import loop_page
+from calibration.discrepancy.report import loop_model_toml, loop_record
+from calibration.model.extended import BASE, base_values
+from tests.support import closed_form_tank as tank
+
+NAMES = ("carried_mass", "chamber_mismatch", "body_stiffness")
+THETA = (3.0, 0.7, 0.08, 4.5e-7)
+HELD = [2, 4]
+FREQUENCIES = np.linspace(1.5, 3.5, 7).tolist()
+
+
+def conclusion(size, held_out_sign=1.0):
+    """Returns the outcome for tones of the given sizes; the last of four tones is no candidate.
+
+    `held_out_sign`, a number or one for each tone, multiplies the tones in the held-out trials.
+    """
+    experiment = tank.experiment_of(FREQUENCIES)
+    signs = [held_out_sign if i in HELD else 1.0 for i in range(len(FREQUENCIES))]
+    thetas = [np.array([*THETA, *(sign * np.array(size))]) for sign in signs]
+    records = tank.measured(experiment, thetas, 1)
+    return conclude(
+        experiment,
+        NAMES,
+        records,
+        HELD,
+        lambda chosen: tank.problem_of(experiment, list(chosen), NAMES),
+        base_values(experiment),
+        tuple(BASE),
+        lambda text: None,
+    )
+
+
+@pytest.fixture(autouse=True)
+def closed_form(monkeypatch):
+    tank.replace_the_beam(monkeypatch)
+
+
+def report(outcome):
+    """Returns report.json, page and model file of an outcome."""
+    record = json.loads(json.dumps(loop_record(outcome, 1.0, {"path": "a", "sha256": "0"})))
+    return record, loop_page(outcome, record), loop_model_toml(outcome)
+
+
+def statuses(record):
+    return {x["name"]: x["status"] for x in record["effects"]}
+
+
+def test_two_effects_of_which_one_is_beyond_its_prior_are_both_in_the_model():
+    outcome = conclusion((0.9, 0.25, 0.0, 0.0))
+    record, page, model = report(outcome)
+    assert record["verdict"] == "identified"
+    assert statuses(record) == {"carried_mass": "beyond_prior", "chamber_mismatch": "identified"}
+    mass = next(x for x in record["effects"] if x["name"] == "carried_mass")
+    (beyond,) = mass["beyond_prior"]
+    assert beyond["parameter"] == "dm" and beyond["value"] == pytest.approx(0.9, abs=0.02)
+    assert beyond["range"] == [0.0, 0.4] and beyond["widened_range"] == pytest.approx([0.0, 1.2])
+    assert not beyond["at_edge_of_widened_range"]
+    assert record["residual"]["status"] == "at_floor"
+    assert all(x["where"] is None for x in record["residual"]["channels"].values())
+    assert "is outside its prior range of 0 to 0.4 kg/m (0.4 for water" in record["said"]
+    assert record["said"].endswith("The residual is at the noise floor.")
+    assert "<td>beyond_prior</td>" in page and "0.4 for water in folds" in page
+    assert model.count("[[effects]]") == 2 and "dm = 0." in model
+    assert record["held_out"]["thrust"]["after"] < 0.5 * record["held_out"]["thrust"]["before"]
+
+
+def test_an_effect_at_the_edge_of_the_wider_range_is_kept():
+    outcome = conclusion((2.0, 0.0, 0.0, 0.0))
+    record, _, model = report(outcome)
+    assert (record["verdict"], statuses(record)) == (
+        "partly_explained",
+        {"carried_mass": "beyond_prior"},
+    )
+    (beyond,) = record["effects"][0]["beyond_prior"]
+    assert beyond["at_edge_of_widened_range"] and beyond["value"] == pytest.approx(1.2, abs=0.02)
+    assert "also at an edge of the wider range" in record["said"]
+    assert 'name = "carried_mass"' in model
+
+
+def test_an_effect_that_leaves_a_residual_is_a_correction():
+    outcome = conclusion((0.3, 0.0, 0.0, 0.5))
+    record, page, model = report(outcome)
+    assert record["verdict"] == "partly_explained"
+    assert statuses(record) == {"carried_mass": "provisional"}
+    assert record["effects"][0]["above_floor"] == ["thrust"]
+    thrust = record["residual"]["channels"]["thrust"]
+    assert record["residual"]["status"] == "above_floor"
+    assert thrust["mean_square"] > 1.5 and thrust["where"]["trial"].startswith("trial_")
+    turns = thrust["pattern"]["peak_Hz"] / thrust["where"]["frequency_Hz"]
+    assert turns == pytest.approx(1.0 + 0.37 * 3, abs=0.1)
+    assert record["residual"]["channels"]["p_front"]["pattern"] is None
+    assert record["said"].startswith("As a correction, the model contains: ")
+    assert "The residual is above the noise floor in thrust" in record["said"]
+    assert "The model lacked" not in record["said"]
+    assert "<td>provisional</td>" in page and 'name = "carried_mass"' in model
+    assert record["errors"]["thrust"]["after"] < record["errors"]["thrust"]["before"]
+
+
+def test_an_effect_that_the_held_out_trials_contradict_is_removed():
+    outcome = conclusion((0.0, 0.25, 0.0, 0.0), held_out_sign=-1.0)
+    record, page, model = report(outcome)
+    (veto,) = record["vetoed"]
+    assert veto["name"] == "chamber_mismatch"
+    assert veto["log_growth"] > max(0.05, 2.0 * veto["standard_error"])
+    assert (record["verdict"], record["effects"]) == ("unexplained", [])
+    assert "increases the sum of squares in the held-out trials" in record["said"]
+    assert "The model contains no added effect" in page and "[[effects]]" not in model
+    step = next(r for r in outcome.search.rounds if r.taken_out)
+    assert (step.taken_out, step.chosen) == ("chamber_mismatch", None)
+
+
+def test_a_veto_removes_only_the_effect_that_is_contradicted():
+    outcome = conclusion((0.3, 0.25, 0.0, 0.0), held_out_sign=np.array([1.0, -1.0, 1.0, 1.0]))
+    assert list(outcome.search.vetoed) == ["chamber_mismatch"]
+    assert outcome.effects == ["carried_mass"]
+
+
+def test_a_residual_that_no_candidate_explains_is_unexplained():
+    record, _, model = report(conclusion((0.0, 0.0, 0.0, 0.5)))
+    assert (record["verdict"], record["effects"]) == ("unexplained", [])
+    assert record["residual"]["status"] == "above_floor" and record["vetoed"] == []
+    assert record["unexplained"] and record["nearest"] == [] and "[[effects]]" not in model
