@@ -3,18 +3,20 @@
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import residual_outliers
 from calibration.discrepancy.ranges import widen_ranges
-from calibration.discrepancy.rounds import Selection
+from calibration.discrepancy.refits import Refits
+from calibration.discrepancy.rounds import Growth, Selection, effect_entries
 from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.discrepancy.verdict import EffectStatus, judge_effects, reach_verdict
-from calibration.discrepancy.veto import veto_effects
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, channel_errors, excess
-from calibration.inference.problem import AbstractProblem, TankProblem
+from calibration.inference.problem import AbstractProblem, TankProblem, total
 from calibration.inference.uncertainty import confidence_interval, hausman_check
 from calibration.measurements.records import Finding, Record
 from calibration.model.extended import (
@@ -148,6 +150,66 @@ def close_loop_on_trials(
             progress(str(finding))
         outcome = outcome_of(rest)
     return replace(outcome, audit=[*audited.findings, *outlying])
+
+
+def held_out_growth(rest: AbstractProblem, without: Fit, with_it: Fit) -> Growth:
+    """Returns the growth of the error in the held-out trials `rest` by an effect.
+
+    The whitened sum of squares of a trial is S0 for the fit without the effect and S1 for the fit
+    with the effect, both fitted to the other trials. The standard error is for noise alone. Let d
+    be the sum of squared changes of the n whitened readings by the effect. White noise of the
+    variance S0/n then gives S1 - S0 the standard deviation 2 sqrt(d S0/n), and log(S1/S0) the
+    standard deviation 2 sqrt(d/(n S0)).
+    """
+    predicted = [rest.predict(fit.theta) for fit in (without, with_it)]
+    white = rest.whiteners(predicted[0])
+    before, after = (rest.residuals(y, white) for y in predicted)
+    logs, variances = [], []
+    for trial in sorted({i for i, _ in before}):
+        keys = [key for key in before if key[0] == trial]
+        S0, S1 = (max(total({key: r[key] for key in keys}), 1e-300) for r in (before, after))
+        d = sum(float(np.nansum((after[key] - before[key]) ** 2)) for key in keys)
+        logs.append(np.log(S1 / S0))
+        variances.append(4.0 * d / (sum(len(before[key]) for key in keys) * S0))
+    return Growth(float(np.mean(logs)), float(np.sqrt(np.sum(variances)) / len(logs)))
+
+
+def veto_effects(
+    found: Selection,
+    problem: AbstractProblem,
+    rest: AbstractProblem,
+    progress: Callable[[str], None] = lambda text: None,
+) -> None:
+    """Removes effects that increase the error in the held-out trials from the selection `found`.
+
+    The loop removes the effect with the largest growth and then tests the other effects again.
+    `problem` contains the trials of the selection, and `rest` the held-out trials.
+    """
+    white = problem.whiteners(found.base.predicted)
+    refits = Refits(problem, found.entries, white, progress, found.settings)
+    while found.effects:
+        less = {name: _without(refits, found, name) for name in found.effects}
+        growths = {n: held_out_growth(rest, fit, found.final) for n, fit in less.items()}
+        name = max(growths, key=lambda n: growths[n].mean)
+        if not growths[name].vetoes(found.settings):
+            return
+        progress(f"removing {name}: it increases the error in the held-out trials")
+        found.vetoed[name] = growths[name]
+        found.final = less[name]
+        found.effects.remove(name)
+        round_ = next(r for r in found.rounds if r.chosen == name)
+        round_.chosen, round_.equivalent, round_.alternatives = None, [], {}
+        round_.taken_out = name
+
+
+def _without(refits: Refits, found: Selection, name: str) -> Fit:
+    """Returns the fit to the trials of the selection without the effect `name`."""
+    if found.effects == [name]:
+        return found.base
+    refits.progress(f"refitting without {name}")
+    group = effect_entries(refits.entries)[name]
+    free = found.final.free
+    return refits.fit(refits.null(found.final.theta, group), free[~np.isin(free, group)])
 
 
 def conclude(
