@@ -246,6 +246,13 @@ def _check_class(kind: type[Effect], where: str, homes: Mapping[str, str]) -> No
                     f"{where}.{name}: given {noun} {prior.null:g}{start}, prior {prior.low:g} to "
                     f"{prior.high:g}; allowed are low < high, and {noun} and start in this range"
                 )
+    for name, prior in kind.priors().items():
+        least, most = prior.physical
+        if not least <= prior.low < prior.high <= most:
+            raise InputError(
+                f"{where}.{name}: given prior {prior.low:g} to {prior.high:g}, physical limits "
+                f"{least:g} to {most:g}; the prior range must be within the physical limits"
+            )
     for name, allowed in (("sensors", SENSORS), ("segments", SEGMENTS)):
         given = getattr(kind, name)
         if not (isinstance(given, tuple) and set(given) <= set(allowed)):

@@ -59,6 +59,10 @@ BAD = {
         [(PARAMETER, START.replace("2.0", "20.0"))],
         "WallFriction.c: given null 0, start 20, prior 0 to 10",
     ),
+    "prior beyond a physical limit": (
+        [(PARAMETER, PARAMETER.replace(")", ", physical=(0.0, 5.0))"))],
+        "WallFriction.c: given prior 0 to 10, physical limits 0 to 5; the prior range must be",
+    ),
     "name of the library": (
         [("class WallFriction", "class HeadDrag")],
         "HeadDrag: the effect 'head_drag' exists in slider_jax; change the class name",
