@@ -10,7 +10,7 @@ from tanks import noisy_records, problem_of, sample_tank, true_readings
 
 from calibration.discrepancy import report
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out, conclude
-from calibration.discrepancy.selection import effect_tangents
+from calibration.discrepancy.refits import effect_tangents
 from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.inference.uncertainty import confidence_interval, hausman_check
@@ -86,8 +86,8 @@ class LinearisedProblem(AbstractProblem):
     def _tangents(self, theta, directions):
         return [np.tensordot(directions, J, 1) for J in self.slopes]
 
-    def _secants(self, theta, others):
-        return self._tangents(theta, np.stack(others) - theta)
+    def _coarse(self, thetas):
+        return [np.stack(x) for x in zip(*(self._predict(t) for t in thetas), strict=True)]
 
     def spans(self):
         return self.tank.spans()

@@ -25,9 +25,9 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import lasso_path
 from sklearn.preprocessing import StandardScaler
 
+from calibration.discrepancy.refits import effect_tangents
 from calibration.discrepancy.rounds import effect_entries, scoring_entries
 from calibration.discrepancy.scores import least_squares_step, square_reduction
-from calibration.discrepancy.selection import effect_tangents
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton, inverse
 from calibration.inference.problem import AbstractProblem, summed
 from calibration.model.extended import Parameter

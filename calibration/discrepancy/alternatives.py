@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.discrepancy.refits import Refits, initial_theta
+from calibration.discrepancy.refits import Refits, Start, effect_tangents, initial_theta
 from calibration.discrepancy.rounds import (
     Alternative,
     Refit,
@@ -42,7 +42,7 @@ def equivalent_effects(
     """
     A, _ = summed(blocks)
     enough = settings.equal_gain_share * best.gain
-    same = [t.name for t in round_.refitted if t is not best and t.gain > enough]
+    same = [t.name for t in round_.refitted if t.name != best.name and t.gain > enough]
     refitted = {t.name for t in round_.refitted}
     parallel = [
         s.name
@@ -66,13 +66,24 @@ def judge_alternatives(refits: Refits, found: Selection) -> None:
         round_.alternatives = {}
     if any(x.all > settings.noise_floor for x in excess(refits.problem, found.final).values()):
         return
+    problem, entries, final = refits.problem, refits.entries, found.final
+    pairs = [
+        (round_, name, start)
+        for round_ in found.rounds
+        for name in _contenders(round_, settings)
+        if (start := _substitution(refits, found, round_, name)) is not None
+    ]
+    if pairs:
+        swaps = ", ".join(f"{name} instead of {round_.chosen}" for round_, name, _ in pairs)
+        refits.progress(f"refitting with {swaps}")
+        tangents = effect_tangents(problem, entries, final.theta, final.free, settings)
+        J = problem.whitened(tangents, refits.white)
+        fits = refits.estimated(final, [start for *_, start in pairs], J, judge=True)
+        for (round_, name, _), fit in zip(pairs, fits, strict=True):
+            if fit.converged:
+                loss = (fit.square - final.square) / final.inflation
+                round_.alternatives[name] = Alternative(fit, loss, refits.sizes(fit, final))
     for round_ in found.rounds:
-        for name in _contenders(round_, settings):
-            refits.progress(f"refitting with {name} instead of {round_.chosen}")
-            fit = _substituted(refits, found, round_, name)
-            if fit is not None and fit.converged:
-                loss = (fit.square - found.final.square) / found.final.inflation
-                round_.alternatives[name] = Alternative(fit, loss, refits.sizes(fit, found.final))
         unjudged = [n for n in round_.equivalent if n not in round_.alternatives]
         round_.equivalent = [
             name
@@ -109,13 +120,13 @@ def _contenders(round_: SelectionStep, settings: SelectionSettings) -> list[str]
     return list(dict.fromkeys([*round_.equivalent, *near]))
 
 
-def _substituted(
+def _substitution(
     refits: Refits, found: Selection, round_: SelectionStep, alternative: str
-) -> Fit | None:
-    """Returns the final fit with an alternative substituted for a round's chosen effect.
+) -> Start | None:
+    """Returns the start of a fit with an alternative substituted for a round's chosen effect.
 
     The final fit may already contain the alternative. Returns None if another effect in the fit
-    replaces the same law of the base model, or if the substitution cannot be simulated.
+    replaces the same law of the base model.
     """
     assert round_.chosen is not None
     others = [n for n in found.effects if n not in (round_.chosen, alternative)]
@@ -126,7 +137,7 @@ def _substituted(
     theta = refits.null(final.theta, place)
     rest = final.free[~np.isin(final.free, place)]
     if alternative in found.effects:
-        return refits.fit(theta, rest)
+        return Start(theta, rest, theta)
     rounds = [round_, *found.rounds]
     fits = [t.fit for r in rounds for t in r.refitted if t.name == alternative]
     start = theta.copy()
@@ -136,4 +147,4 @@ def _substituted(
         step = next(s.step for r in rounds for s in r.scores if s.name == alternative)
         own = np.isin(np.arange(len(theta)), group)
         start = initial_theta(refits, theta, group, np.where(own, step, 0.0))
-    return refits.joined(theta, start, np.concatenate([rest, group]))
+    return Start(start, np.concatenate([rest, group]), theta)

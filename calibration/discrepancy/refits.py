@@ -2,15 +2,64 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from calibration.discrepancy.rounds import effect_entries, relative_changes
+from calibration.discrepancy.rounds import effect_entries, relative_changes, scoring_entries
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
-from calibration.inference.gauss_newton import Fit, fit_gauss_newton, inverse
+from calibration.inference.gauss_newton import (
+    Bounds,
+    Fit,
+    broyden_update,
+    fit_gauss_newton,
+    inverse,
+    linear_optimum,
+)
 from calibration.inference.noise import Whitener
-from calibration.inference.problem import FAILED, AbstractProblem, summed
+from calibration.inference.problem import FAILED, AbstractProblem, normal_equations, summed, total
 from calibration.model.extended import Parameter
+from slider_jax.channels import row_of
+
+
+def effect_tangents(
+    problem: AbstractProblem,
+    entries: Sequence[Parameter],
+    theta: np.ndarray,
+    free: np.ndarray,
+    settings: SelectionSettings = DEFAULT_SETTINGS,
+) -> list[np.ndarray]:
+    """Returns the readings' change per unit of each parameter, for each trial.
+
+    Each array has the shape (parameters, channels, samples). For a parameter with a `Prior.start`,
+    the array contains the secant from null to start. If a secant cannot be simulated, its step is
+    halved. For free parameters and effects without a start, the array contains tangents at `theta`.
+    For all other parameters, and where a tangent is not finite, the array is zero.
+    """
+    scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
+    finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
+    tangential = [i for i in scored if i not in finite]
+    found = [np.zeros((len(theta), *r.values.shape)) for r in problem.records]
+    unit = np.eye(len(theta))
+    channels = [row_of(c) for c in problem.channels]
+    along = problem.tangents(theta, unit[tangential])
+    failed = ~np.all([np.isfinite(x[:, channels]).all(axis=(1, 2)) for x in along], axis=0)
+    for x, tangents in zip(found, along, strict=True):
+        x[tangential] = np.where(failed[:, None, None], 0.0, tangents)
+    size = {i: entries[i].prior.start - entries[i].prior.null for i in finite}
+    for _ in range(settings.max_halvings):
+        if not size:
+            break
+        order = list(size)
+        changes = problem.secants(theta, [theta + size[i] * unit[i] for i in order])
+        for row, i in enumerate(order):
+            if all(np.isfinite(c[row][channels]).all() for c in changes):
+                for x, c in zip(found, changes, strict=True):
+                    x[i] = c[row] / size[i]
+                del size[i]
+            else:
+                size[i] *= 0.5
+    return found
 
 
 def initial_theta(
@@ -32,6 +81,67 @@ def initial_theta(
     still = group[moved[group] == theta[group]]
     moved[still] += refits.settings.initial_step_share * (high - low)[still]
     return moved
+
+
+Tangents = dict[tuple[int, str], np.ndarray]
+"""Whitened tangents (parameters, n) of every trial and channel."""
+
+
+class Start(NamedTuple):
+    """Start of a fit with another set of effects."""
+
+    theta: np.ndarray
+    free: np.ndarray
+    """Indices of the entries of `theta` that are fitted."""
+    null: np.ndarray
+    """Parameters that can be simulated; a start that fails is moved towards these."""
+
+
+class Estimate:
+    """A fit by Broyden's method; the caller simulates the readings at `proposed`."""
+
+    def __init__(self, refits: "Refits", start: Start, tangents: Tangents):
+        self.refits, self.start = refits, start
+        self.proposed = start.theta
+        self.J = {key: x[start.free] for key, x in tangents.items()}
+        self.bounds = Bounds.of([refits.entries[i] for i in start.free])
+        self.best = Fit(start.theta, np.asarray(start.free), FAILED, 0, [], [], False)
+        self.residuals: dict[tuple[int, str], np.ndarray] = {}
+        self.step, self.share, self.expected = np.zeros(len(start.free)), 1.0, 0.0
+        self.steps, self.halved, self.done = 0, 0, False
+
+    def update(self, predicted: list[np.ndarray]) -> None:
+        """Continues with the readings `predicted` at `proposed`."""
+        refits, best = self.refits, self.best
+        residuals = refits.problem.residuals(predicted, refits.white)
+        square, samples = total(residuals), sum(len(r) for r in residuals.values())
+        if not square < best.square:
+            self.halved += 1
+            self.done = self.halved >= refits.settings.max_halvings
+            if best.square < FAILED:
+                self.share *= 0.5
+                self._propose()
+            else:
+                self.proposed = 0.5 * (self.proposed + self.start.null)
+            return
+        if best.square < FAILED:
+            change = {key: r - residuals[key] for key, r in self.residuals.items()}
+            step = (self.proposed - best.theta)[best.free]
+            self.J = broyden_update(self.J, change, step, summed(best.blocks)[0])
+        self.residuals, blocks = residuals, normal_equations(residuals, self.J)
+        A, b = summed(blocks)
+        theta, free = self.proposed, best.free
+        self.step = linear_optimum(A, b, theta[free], self.bounds) - theta[free]
+        gain = 2.0 * self.step @ b - self.step @ A @ self.step
+        least = refits.settings.estimate_tolerance * max(1.0, square / samples)
+        self.expected, self.done = square - gain, bool(abs(gain) < least)
+        self.best = Fit(theta, free, square, samples, blocks, predicted, self.done)
+        self.share, self.steps, self.halved = 1.0, self.steps + 1, 0
+        self._propose()
+
+    def _propose(self) -> None:
+        self.proposed = self.best.theta.copy()
+        self.proposed[self.best.free] += self.share * self.step
 
 
 @dataclass(frozen=True)
@@ -58,18 +168,36 @@ class Refits:
         theta[group] = [self.entries[i].prior.null for i in group]
         return theta
 
-    def joined(self, theta: np.ndarray, start: np.ndarray, free: np.ndarray) -> Fit | None:
-        """Returns the fit of the parameters `free` (indices) that starts at `start`.
+    def estimated(
+        self, current: Fit, starts: Sequence[Start], tangents: Tangents, judge: bool = False
+    ) -> list[Fit]:
+        """Returns a fit from each of `starts`, with readings of the coarse mesh.
 
-        A start that cannot be simulated is moved halfway to `theta`. Returns None if
-        `max_halvings` successive starts cannot be simulated.
+        The difference between the readings of the fine and the coarse mesh is taken from the fit
+        `current`. `tangents` are the tangents at `current`; Broyden's formula corrects them after
+        each step. All fits are simulated in one batch. A start that cannot be simulated is moved
+        halfway to `current`, at most `max_halvings` times; its fit then has a sum of squares of
+        `FAILED`. Unless `judge` is true, a fit ends early, without convergence, if its expected
+        gain is below the fraction `contender_gain_share` of the largest gain.
         """
-        for _ in range(self.settings.max_halvings):
-            found = self.fit(start, free)
-            if found.square < FAILED:
-                return found
-            start = 0.5 * (start + theta)
-        return None
+        coarse = self.problem.coarse([current.theta])
+        offset = [y - x[0] for y, x in zip(current.predicted, coarse, strict=True)]
+        fits = [Estimate(self, x, tangents) for x in starts]
+        most = 0.0
+        for _ in range(self.settings.max_estimate_steps):
+            active = [x for x in fits if not x.done]
+            if not active:
+                break
+            readings = self.problem.coarse([x.proposed for x in active])
+            for i, x in enumerate(active):
+                x.update([y[i] + more for y, more in zip(readings, offset, strict=True)])
+            if judge:
+                continue
+            most = max([most, *(current.square - x.best.square for x in fits)])
+            for x in active:
+                least = self.settings.contender_gain_share * most
+                x.done |= x.steps > 1 and current.square - x.expected < least
+        return [x.best for x in fits]
 
     def without(self, current: Fit, name: str) -> Fit | None:
         """Returns the fit without the effect `name`, or None if the effect is necessary."""

@@ -26,7 +26,7 @@ from calibration.discrepancy.alternatives import (
     judge_alternatives,
 )
 from calibration.discrepancy.ranges import widen_ranges
-from calibration.discrepancy.refits import Refits, initial_theta
+from calibration.discrepancy.refits import Refits, Start, effect_tangents, initial_theta
 from calibration.discrepancy.rounds import (
     Refit,
     Selection,
@@ -39,50 +39,10 @@ from calibration.discrepancy.rounds import (
 from calibration.discrepancy.scores import Score, score
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.problem import AbstractProblem
+from calibration.inference.problem import FAILED, AbstractProblem, normal_equations
 from calibration.model.extended import BASE, Parameter
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import LIBRARY
-
-
-def effect_tangents(
-    problem: AbstractProblem,
-    entries: Sequence[Parameter],
-    theta: np.ndarray,
-    free: np.ndarray,
-    settings: SelectionSettings = DEFAULT_SETTINGS,
-) -> list[np.ndarray]:
-    """Returns the readings' change per unit of each parameter, for each trial.
-
-    Each array has the shape (parameters, channels, samples). For a parameter with a `Prior.start`,
-    the array contains the secant from null to start. If a secant cannot be simulated, its step is
-    halved. For free parameters and effects without a start, the array contains tangents at `theta`.
-    For all other parameters, and where a tangent is not finite, the array is zero.
-    """
-    scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
-    finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
-    tangential = [i for i in scored if i not in finite]
-    found = [np.zeros((len(theta), *r.values.shape)) for r in problem.records]
-    unit = np.eye(len(theta))
-    channels = [row_of(c) for c in problem.channels]
-    along = problem.tangents(theta, unit[tangential])
-    failed = ~np.all([np.isfinite(x[:, channels]).all(axis=(1, 2)) for x in along], axis=0)
-    for x, tangents in zip(found, along, strict=True):
-        x[tangential] = np.where(failed[:, None, None], 0.0, tangents)
-    size = {i: entries[i].prior.start - entries[i].prior.null for i in finite}
-    for _ in range(settings.max_halvings):
-        if not size:
-            break
-        order = list(size)
-        changes = problem.secants(theta, [theta + size[i] * unit[i] for i in order])
-        for row, i in enumerate(order):
-            if all(np.isfinite(c[row][channels]).all() for c in changes):
-                for x, c in zip(found, changes, strict=True):
-                    x[i] = c[row] / size[i]
-                del size[i]
-            else:
-                size[i] *= 0.5
-    return found
 
 
 def select_effects(
@@ -111,7 +71,8 @@ def select_effects(
         assert round_.chosen is not None
         progress(f"{better} replaces {round_.chosen}")
         found.effects = [better if n == round_.chosen else n for n in found.effects]
-        found.final = round_.alternatives[better].fit
+        fit = round_.alternatives[better].fit
+        found.final = refits.fit(fit.theta, fit.free)
         round_.equivalent = [round_.chosen, *(n for n in round_.equivalent if n != better)]
         round_.chosen, round_.replaced = better, round_.chosen
         refits = _widen(refits, found)
@@ -180,29 +141,40 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
     settings = refits.settings
     residuals = problem.residuals(current.predicted, refits.white)
     tangents = effect_tangents(problem, entries, current.theta, current.free, settings)
-    blocks = problem.blocks(residuals, tangents, refits.white)
+    J = problem.whitened(tangents, refits.white)
+    blocks = normal_equations(residuals, J)
     unit, scored = current.inflation, scoring_entries(entries)
     scores = [score(n, scored[n], current.free, blocks, unit, len(rest), settings) for n in rest]
     scores.sort(key=lambda s: -s.gain)
-    round_ = SelectionStep(scores)
+    round_, candidates, starts = SelectionStep(scores), [], []
     for s in _short_list(scores, refits, scored):
         pairs = zip(current.predicted, tangents, strict=True)
         changed = [y + np.tensordot(s.step, x, 1) for y, x in pairs]
         changes = relative_changes(problem.channels, current.predicted, changed).items()
-        if not any(x > settings.naming_share * CHANNELS[c].discrepancy for c, x in changes):
-            continue
-        progress(f"refitting with {s.name}")
-        refit = _refit(refits, current, s)
-        if refit is None:
-            progress(f"skipping {s.name}: the start of its refit cannot be simulated")
+        if any(x > settings.naming_share * CHANNELS[c].discrepancy for c, x in changes):
+            group = effect_entries(entries)[s.name]
+            theta = initial_theta(refits, current.theta, group, s.step)
+            free = np.concatenate([current.free, group])
+            candidates.append(s)
+            starts.append(Start(theta, free, current.theta))
+    if candidates:
+        progress(f"refitting with each of: {', '.join(s.name for s in candidates)}")
+    for s, fit in zip(candidates, refits.estimated(current, starts, J), strict=True):
+        if fit.square < FAILED:
+            round_.refitted.append(_refit(refits, current, s, fit))
         else:
-            round_.refitted.append(refit)
+            progress(f"skipping {s.name}: the start of its refit cannot be simulated")
     accepted = [t for t in round_.refitted if t.worth_naming and t.agreement.agreed(settings)]
-    if not accepted:
-        return round_
-    best = min(accepted, key=lambda t: t.fit.square)
-    round_.chosen = best.name
-    round_.equivalent = equivalent_effects(best, round_, scored, current, blocks, settings)
+    for best in sorted(accepted, key=lambda t: t.fit.square):
+        progress(f"refitting with {best.name} on the fine mesh")
+        s = next(s for s in scores if s.name == best.name)
+        fine = _refit(refits, current, s, refits.fit(best.fit.theta, best.fit.free))
+        place = round_.refitted.index(best)
+        round_.refitted[place] = fine
+        if fine.worth_naming:
+            round_.chosen = best.name
+            round_.equivalent = equivalent_effects(best, round_, scored, current, blocks, settings)
+            break
     return round_
 
 
@@ -221,13 +193,8 @@ def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
     return sorted([*tangential, *finite], key=lambda s: -s.gain)
 
 
-def _refit(refits: Refits, current: Fit, s: Score) -> Refit | None:
-    group = effect_entries(refits.entries)[s.name]
-    start = initial_theta(refits, current.theta, group, s.step)
-    refitted = refits.joined(current.theta, start, np.concatenate([current.free, group]))
-    if refitted is None:
-        return None
-    gain = (current.square - refitted.square) / refitted.inflation
-    sizes = refits.sizes(current, refitted)
+def _refit(refits: Refits, current: Fit, s: Score, fit: Fit) -> Refit:
+    gain = (current.square - fit.square) / fit.inflation
+    sizes = refits.sizes(current, fit)
     named = refits.settings.worth_naming(gain, sizes)
-    return Refit(s.name, refitted, gain, sizes, agreement(s.left_out), named)
+    return Refit(s.name, fit, gain, sizes, agreement(s.left_out), named)

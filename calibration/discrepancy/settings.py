@@ -59,6 +59,11 @@ class SelectionSettings:
     initial_step_share: float = 0.02
     """A refit starts at the step that the score predicts. For a parameter with a step of zero, the
     step is this fraction of the prior range, because a fit cannot leave a bound of the range."""
+    max_estimate_steps: int = 12
+    """Largest number of steps, including shortened ones, of a refit on the coarse mesh."""
+    estimate_tolerance: float = 0.5
+    """A refit on the coarse mesh ends if the next step would lower the sum of squares by less than
+    this multiple of the residual's mean square."""
     removal_loss_factor: float = 10.0
     """The loop keeps an effect without a refit if its removal is predicted to increase the sum of
     squares by more than this multiple of `min_gain`, in units of the residual's mean square."""

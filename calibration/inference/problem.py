@@ -10,7 +10,7 @@ Fits, cross-validation and equivalence classes are computed from sums of A, b an
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple, final
 
@@ -28,7 +28,7 @@ from calibration.model.predict import (
     TrialPlan,
     on_all_cores,
     plan_trial,
-    predict_readings,
+    predict_each,
     reading_tangents,
 )
 from slider_jax.channels import CHANNELS, row_of
@@ -65,6 +65,16 @@ def summed(blocks: Sequence[ChannelBlock]) -> tuple[np.ndarray, np.ndarray]:
     return np.sum([x.A for x in blocks], axis=0), np.sum([x.b for x in blocks], axis=0)
 
 
+def normal_equations(
+    residuals: dict[tuple[int, str], np.ndarray], J: dict[tuple[int, str], np.ndarray]
+) -> list[ChannelBlock]:
+    """Returns the normal equations of whitened residuals (n,) and derivatives (parameters, n)."""
+    return [
+        ChannelBlock(*key, J[key] @ J[key].T, J[key] @ r, float(r @ r), len(r))
+        for key, r in residuals.items()
+    ]
+
+
 class Affine(NamedTuple):
     """Map from a fitted vector x to the parameters of one trial: offset + matrix x."""
 
@@ -94,7 +104,7 @@ class AbstractProblem(ABC):
     def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]: ...
 
     @abstractmethod
-    def _secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]: ...
+    def _coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]: ...
 
     @abstractmethod
     def spans(self) -> list[np.ndarray] | None:
@@ -113,9 +123,16 @@ class AbstractProblem(ABC):
             "tangents", [theta, directions], lambda: self._tangents(theta, directions)
         )
 
+    def coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Returns each trial's readings (k, channels, samples) with k parameter vectors.
+
+        The readings are those of the mesh that gives the tangents.
+        """
+        return self._cached("coarse", thetas, lambda: self._coarse(thetas))
+
     def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Returns changes (k, channels, samples) of trials' readings from `theta` to `others`."""
-        return self._cached("secants", [theta, *others], lambda: self._secants(theta, others))
+        return [y[1:] - y[:1] for y in self.coarse([theta, *others])]
 
     def _cached(self, kind: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
         return cached(self.memo, f"{kind} {[r.trial.file for r in self.records]}", arrays, make)
@@ -148,6 +165,21 @@ class AbstractProblem(ABC):
             found[key] = whiten((self.records[i].values[row] - predicted[i][row])[there])[0]
         return found
 
+    def whitened(
+        self, changes: list[np.ndarray], white: dict[tuple[int, str], Whitener]
+    ) -> dict[tuple[int, str], np.ndarray]:
+        """Returns the whitened `changes` (k, channels, samples) of each trial's readings.
+
+        The result has an array (k, n) for every trial and channel.
+        """
+
+        def one(key):
+            i, channel = key
+            series, there = changes[i][:, row_of(channel)], self.records[i].there(channel)
+            return key, white[key](series if there.all() else series[:, there])
+
+        return dict(on_all_cores(one, list(white)))
+
     def blocks(
         self,
         residuals: dict[tuple[int, str], np.ndarray],
@@ -155,13 +187,7 @@ class AbstractProblem(ABC):
         white: dict[tuple[int, str], Whitener],
     ) -> list[ChannelBlock]:
         """Returns the normal equations of every trial and channel."""
-        found = []
-        for key, r in residuals.items():
-            i, channel = key
-            along, there = derivatives[i][:, row_of(channel)], self.records[i].there(channel)
-            J = white[key](along if there.all() else along[:, there])
-            found.append(ChannelBlock(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
-        return found
+        return normal_equations(residuals, self.whitened(derivatives, white))
 
 
 @final
@@ -170,12 +196,15 @@ class TankProblem(AbstractProblem):
     """Trials of the robot in the tank, with plans for fine and coarse simulations."""
 
     fine: list[TrialPlan]
-    coarse: list[TrialPlan]
+    coarse_plans: list[TrialPlan]
     mesh: Resolution = COARSE
     """Mesh and time step of the simulations that give the tangents."""
     maps: tuple[Affine, ...] | None = None
     """Map from the fitted vector to each trial's parameters. None: all trials use the vector."""
     swing: Swing | None = None
+    _last: dict[bytes, list[np.ndarray]] = field(
+        init=False, default_factory=dict, repr=False, compare=False
+    )
 
     @classmethod
     def of(
@@ -213,7 +242,7 @@ class TankProblem(AbstractProblem):
             channels=channels,
             noise=noise,
             fine=plans[0],
-            coarse=plans[1],
+            coarse_plans=plans[1],
             mesh=coarse,
             swing=swing,
         )
@@ -229,7 +258,9 @@ class TankProblem(AbstractProblem):
         return self._cached(
             f"swing {swing.size}",
             [swing.theta],
-            lambda: on_all_cores(lambda p: swing_spans(p, swing.theta, swing.size), self.coarse),
+            lambda: on_all_cores(
+                lambda p: swing_spans(p, swing.theta, swing.size), self.coarse_plans
+            ),
         )
 
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
@@ -237,21 +268,20 @@ class TankProblem(AbstractProblem):
 
     def predict_each(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Returns the readings (channels, samples) of each trial i with parameters `thetas[i]`."""
-        pairs = list(zip(self.fine, thetas, strict=True))
-        return on_all_cores(lambda pair: predict_readings(*pair), pairs)
+        return predict_each(list(zip(self.fine, thetas, strict=True)))
 
-    def _secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
-        def one(job):
-            plan, here, there = job
-            begin = predict_readings(plan, here)
-            return np.stack([predict_readings(plan, other) - begin for other in there])
-
-        each = zip(*(self._own(other) for other in others), strict=True)
-        return on_all_cores(one, list(zip(self.coarse, self._own(theta), each, strict=True)))
+    def _coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+        each = [self._own(theta) for theta in thetas]
+        pairs = [(p, x[i]) for i, p in enumerate(self.coarse_plans) for x in each]
+        found, k = predict_each(pairs), len(thetas)
+        return [np.stack(found[i : i + k]) for i in range(0, len(found), k)]
 
     def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         if self.maps is None:
-            return on_all_cores(lambda p: reading_tangents(p, theta, directions), self.coarse)
+            rows, units = np.nonzero(directions)
+            if len(rows) == len(directions) and np.all(directions[rows, units] == 1.0):
+                return [x[units] for x in self._unit_tangents(theta)]
+            return on_all_cores(lambda p: reading_tangents(p, theta, directions), self.coarse_plans)
 
         def one(job):
             plan, own, along = job
@@ -262,7 +292,21 @@ class TankProblem(AbstractProblem):
             return found
 
         along = [directions @ m.matrix.T for m in self.maps]
-        return on_all_cores(one, list(zip(self.coarse, self._own(theta), along, strict=True)))
+        return on_all_cores(one, list(zip(self.coarse_plans, self._own(theta), along, strict=True)))
+
+    def _unit_tangents(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Returns the derivatives with respect to every entry; the last result is kept.
+
+        A fit and the scoring after the fit need different entries at the same `theta`. One program
+        for all entries is compiled faster than a second program.
+        """
+        key = theta.tobytes()
+        if key not in self._last:
+            unit = np.eye(len(theta))
+            found = on_all_cores(lambda p: reading_tangents(p, theta, unit), self.coarse_plans)
+            self._last.clear()
+            self._last[key] = found
+        return self._last[key]
 
     def _own(self, theta: np.ndarray) -> list[np.ndarray]:
         """Returns the parameters of each trial for the fitted vector `theta`."""

@@ -1,5 +1,6 @@
 """Predicts a trial's readings, and their tangents (derivatives with respect to parameters)."""
 
+from collections.abc import Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -7,15 +8,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from calibration.model.extended import ExtendedModel
 from slider_jax.batch.chunks import available_cores
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
-from slider_jax.channels import recorded, recorded_series
+from slider_jax.channels import CHANNELS, recorded, recorded_series
 from slider_jax.dynamics.model import Model
-from slider_jax.dynamics.pressures import chamber_history, start_chambers
+from slider_jax.dynamics.pressures import Chambers, chamber_history, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SCHEMES, SDIRK2, Scheme
@@ -36,7 +36,13 @@ from slider_jax.simulation.trial import run_chunks
 BLOCK = 500
 """Time steps or samples per call of a compiled program. A long trial needs several calls."""
 DIRECTIONS = 8
-"""Number of tangents that one call of a compiled program computes."""
+"""A call of a compiled program computes a multiple of this number of tangents."""
+MOST_DIRECTIONS = 64
+"""Largest number of tangents that one call computes. 64 tangents take twice the time of eight."""
+LANES = 4
+"""Number of trials in one batch."""
+LEAST_LENGTH = 2048
+"""Smallest length to which series are extended; all lengths are this length times 1, 2, 4, ..."""
 
 
 @dataclass(frozen=True)
@@ -101,23 +107,49 @@ def plan_trial(
     return TrialPlan(trial, extended, numerics, SCHEMES[resolution.scheme], grid, at)
 
 
-def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
-    """Returns ideal sensors' readings (BLOCK, channels) in the next steps, and the last state."""
+def _chunk(
+    extended: ExtendedModel,
+    theta,
+    carry: Carry,
+    chambers: Chambers,
+    h,
+    t0,
+    numerics: Numerics,
+    scheme: Scheme,
+):
+    """Returns ideal sensors' readings (BLOCK, channels) in the next steps, and the last state.
+
+    `chambers` are the chambers at the ends of the stages of these steps.
+    """
 
     def save(x: Snapshot):
         return jnp.stack([channel.observe(x) for channel in extended.channels])
 
     times = TimeGrid(h, BLOCK, t0)
-    out = rollout(extended.at(theta), times, save, numerics, scheme, begin=carry, checkpoint=False)
+    out = rollout(
+        extended.at(theta),
+        times,
+        save,
+        numerics,
+        scheme,
+        begin=carry,
+        chambers=chambers,
+        checkpoint=False,
+    )
     return out.saved, out.final
 
 
+def _chambers(extended: ExtendedModel, theta, begin: Chambers, times) -> Chambers:
+    """Returns the chambers at `times[1:]` [s], from `begin` at `times[0]`."""
+    return chamber_history(extended.at(theta), begin, times)
+
+
 def _read(extended: ExtendedModel, theta, t, series):
-    """Returns real sensors' readings (channels - 2, n) without pressures, from ideal readings."""
+    """Returns real sensors' readings (channels, n) from ideal readings `series` (n, channels)."""
     names = [channel.name for channel in extended.channels]
     true = dict(zip(names, series.T, strict=True))
     read = recorded_series(extended.at(theta).effects, t, true)
-    return jnp.stack([read[name] for name in names[2:]])
+    return jnp.stack([read[name] for name in names])
 
 
 def recorded_pressures(model: Model, t):
@@ -129,12 +161,8 @@ def recorded_pressures(model: Model, t):
     return jnp.stack([read.p_front, read.p_rear])
 
 
-def _pressures(extended: ExtendedModel, theta, t):
-    return recorded_pressures(extended.at(theta), t)
-
-
 def _along(function, arguments, directions):
-    """Returns the tangents of function(*arguments) along `directions`.
+    """Returns the value of function(*arguments), and the value's tangents along `directions`.
 
     Each array of `directions` has the axes of its argument after a first axis of directions.
     """
@@ -142,19 +170,33 @@ def _along(function, arguments, directions):
 
     def value(dynamic):
         out = function(*eqx.combine(dynamic, static))
-        return eqx.filter(out, eqx.is_inexact_array)
+        moving, fixed = eqx.partition(out, eqx.is_inexact_array)
+        return moving, fixed
 
-    return jax.vmap(lambda d: jax.jvp(value, (dynamic,), (d,))[1])(directions)
+    def one(direction):
+        return jax.jvp(value, (dynamic,), (direction,), has_aux=True)
+
+    moving, tangents, fixed = jax.vmap(one, out_axes=(None, 0, None))(directions)
+    return eqx.combine(moving, fixed), tangents
 
 
-@eqx.filter_jit
-def _begin(extended: ExtendedModel, theta, numerics: Numerics) -> Carry:
-    return at_rest(extended.at(theta), numerics)
+def _lanes(function):
+    """Returns the compiled batch of `function`, called as batch(static arguments, *arguments).
+
+    The first axis of each array in `arguments` is the lane.
+    """
+
+    @eqx.filter_jit
+    def batch(static, *lanes):
+        return eqx.filter_vmap(lambda *lane: function(*lane, *static))(*lanes)
+
+    return batch
 
 
-_advance = eqx.filter_jit(_chunk)
-_recorded = eqx.filter_jit(_read)
-_chambers = eqx.filter_jit(_pressures)
+_begin = _lanes(lambda extended, theta, numerics: at_rest(extended.at(theta), numerics))
+_advance = _lanes(_chunk)
+_chamber_lanes = _lanes(_chambers)
+_recorded = _lanes(_read)
 
 
 @eqx.filter_jit
@@ -163,137 +205,243 @@ def _begin_along(extended: ExtendedModel, theta, directions, numerics: Numerics)
 
 
 @eqx.filter_jit
-def _advance_along(
-    extended: ExtendedModel, theta, carry, d_theta, d_carry, h, t0, numerics, scheme
-):
-    def function(theta, carry):
-        return _chunk(extended, theta, carry, h, t0, numerics, scheme)
+def _advance_along(extended: ExtendedModel, here, along, h, t0, numerics: Numerics, scheme: Scheme):
+    """Returns (readings, last state) of `_chunk` at `here` = (theta, carry, chambers); tangents."""
 
-    return function(theta, carry)[1], _along(function, (theta, carry), (d_theta, d_carry))
+    def function(theta, carry, chambers):
+        return _chunk(extended, theta, carry, chambers, h, t0, numerics, scheme)
+
+    return _along(function, here, along)
+
+
+@eqx.filter_jit
+def _chambers_along(extended: ExtendedModel, theta, begin, times, d_theta, d_begin):
+    def function(theta, begin):
+        return _chambers(extended, theta, begin, times)
+
+    return _along(function, (theta, begin), (d_theta, d_begin))
 
 
 @eqx.filter_jit
 def _recorded_along(extended: ExtendedModel, theta, t, series, d_theta, d_series):
-    return _along(lambda x, s: _read(extended, x, t, s), (theta, series), (d_theta, d_series))
+    return _along(lambda x, s: _read(extended, x, t, s), (theta, series), (d_theta, d_series))[1]
 
 
-@eqx.filter_jit
-def _chambers_along(extended: ExtendedModel, theta, t, d_theta):
-    return _along(lambda x: _pressures(extended, x, t), (theta,), (d_theta,))
-
-
-def _sample_grid(at: np.ndarray) -> np.ndarray:
-    """Returns evenly spaced times [s] from 0 that include `at`, in whole blocks of `BLOCK`."""
+def _sample_grid(p: TrialPlan) -> np.ndarray:
+    """Returns evenly spaced times [s] from 0 that include the sample times, in whole blocks."""
+    at, block = p.at, BLOCK * p.scheme.stages
     spacing = divided_step(float(np.median(np.diff(at))), LONGEST_STEP)
     before = np.ceil(at[0] / spacing - 1e-9)
-    n = -(-(round((at[-1] - at[0]) / spacing) + int(before) + 2) // BLOCK) * BLOCK
-    t = at[0] + spacing * (np.arange(n) - before)
+    needed = round((at[-1] - at[0]) / spacing) + int(before) + 1
+    t = at[0] + spacing * (np.arange(-(-needed // block) * block + 1) - before)
     t[0] = 0.0
     return t
 
 
-def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarray) -> np.ndarray:
+def _stage_times(p: TrialPlan, done: int) -> np.ndarray:
+    """Returns the time [s] after `done` steps, and the times of the next block's stages."""
+    steps = np.arange(done, done + BLOCK)[:, None] + np.asarray(p.scheme.nodes)
+    return p.grid.h * np.concatenate([[done], steps.ravel()])
+
+
+def _padded(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns times (N,) and series (..., N, channels), extended to one of few lengths N.
+
+    Trials of similar lengths then use the same compiled program. Beyond its end, a series keeps its
+    last value.
+    """
+    n = LEAST_LENGTH
+    while n < len(t):
+        n *= 2
+    more = n - len(t)
+    rest = t[-1] + (t[-1] - t[-2]) * np.arange(1.0, more + 1.0)
+    width = [(0, 0)] * series.ndim
+    width[-2] = (0, more)
+    return np.concatenate([t, rest]), np.pad(series, width, mode="edge")
+
+
+def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray) -> np.ndarray:
     """Returns readings (..., channels, samples) at the trial's sample times.
 
-    `body` (..., channels - 2, steps) are readings without pressures, interpolated between steps.
-    `pressures` (..., 2, n) are at the times `t` (n,) [s], which include the sample times.
+    `body` (..., channels, steps) are readings at the ends of steps; they are interpolated.
+    `pressures` (..., channels, n) are readings of the pressures at the times of `_sample_grid`.
     """
-    lead = body.shape[:-2]
-    flat = body.reshape(-1, body.shape[-1])[:, : p.grid.steps + 1].T
-    at_samples = sample_series(p.grid.times, flat, p.at, p.grid.edges).T.reshape(
-        *lead, -1, len(p.at)
-    )
+    lead, t = body.shape[:-2], _sample_grid(p)
+    steps = body[..., 2:, : p.grid.steps + 1]
+    flat = steps.reshape(-1, p.grid.steps + 1).T
+    at_samples = sample_series(p.grid.times, flat, p.at, p.grid.edges).T
     # t[0] is set to 0, so only the first interval may differ from the other intervals.
     index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
     index = np.clip(index, 0, len(t) - 1)
-    return np.concatenate([pressures[..., index], at_samples], axis=-2)
+    return np.concatenate(
+        [pressures[..., :2, index], at_samples.reshape(*lead, -1, len(p.at))], axis=-2
+    )
 
 
 def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
     """Returns the readings (channels, samples) of a trial. Readings after a failed step are NaN."""
-    series, failed_at = _series(p, jnp.asarray(theta))
-    t = p.grid.h * np.arange(len(series))
-    read = np.array(_recorded(p.extended, jnp.asarray(theta), jnp.asarray(t), series))
-    read[:, t >= failed_at - 0.5 * p.grid.h] = np.nan
-    grid = _sample_grid(p.at)
-    pressures = _chambers(p.extended, jnp.asarray(theta), jnp.asarray(grid))
-    return _sampled(p, read, np.asarray(pressures), grid)
+    return _simulate([(p, theta)])[0]
 
 
-def _series(p: TrialPlan, theta) -> tuple[Array, float]:
-    """Returns readings (n, channels) of ideal sensors, and the time [s] of a failed step or inf."""
-    carry = _begin(p.extended, theta, p.numerics)
-    start = jnp.concatenate([carry.chambers.p, jnp.zeros(len(p.extended.channels) - 2)])[None]
-    h = jnp.asarray(p.grid.h)
+def predict_each(pairs: Sequence[tuple[TrialPlan, np.ndarray]]) -> list[np.ndarray]:
+    """Returns `predict_readings(plan, theta)` for each pair.
+
+    Trials whose models have the same structure are simulated in batches of `LANES`.
+    """
+    kinds: dict[Hashable, list[int]] = {}
+    for i, (p, _) in enumerate(pairs):
+        leaves, kind = jax.tree.flatten((p.extended, p.numerics, p.scheme))
+        kinds.setdefault((kind, *(np.shape(x) for x in leaves)), []).append(i)
+    jobs = []
+    for places in kinds.values():
+        places.sort(key=lambda i: -pairs[i][0].grid.steps)
+        jobs += [places[i : i + LANES] for i in range(0, len(places), LANES)]
+
+    def work(job: list[int]) -> list[np.ndarray]:
+        full = job + [job[-1]] * (LANES - len(job))
+        return _simulate([pairs[i] for i in full])[: len(job)]
+
+    found: dict[int, np.ndarray] = {}
+    for job, readings in zip(jobs, on_all_cores(work, jobs), strict=True):
+        found |= dict(zip(job, readings, strict=True))
+    return [found[i] for i in range(len(pairs))]
+
+
+def _simulate(pairs: Sequence[tuple[TrialPlan, np.ndarray]]) -> list[np.ndarray]:
+    """Returns the readings (channels, samples) of trials that are simulated in one batch."""
+    plans = [p for p, _ in pairs]
+    first, lanes = plans[0], range(len(plans))
+    extended = jax.tree.map(lambda *x: np.stack(x), *(p.extended for p in plans))
+    theta = np.stack([x for _, x in pairs])
+    h = np.array([p.grid.h for p in plans])
+    begin = _begin((first.numerics,), extended, theta)
+
+    def chambers(start: Chambers, times: list[np.ndarray]) -> Chambers:
+        return _chamber_lanes((), extended, theta, start, np.stack(times))
 
     def advance(done: int, carry: Carry):
-        t0 = jnp.asarray(p.grid.h * done)
-        return _advance(p.extended, theta, carry, h, t0, p.numerics, p.scheme)
+        there = chambers(carry.chambers, [_stage_times(p, done) for p in plans])
+        static = (first.numerics, first.scheme)
+        return _advance(static, extended, theta, carry, there, h, h * done)
 
-    parts, carry = run_chunks(advance, carry, p.grid.steps, BLOCK)
-    return jnp.concatenate([start, *parts]), float(carry.failed_at)
+    def read(t: list[np.ndarray], series: np.ndarray) -> np.ndarray:
+        padded = [_padded(x, y) for x, y in zip(t, series, strict=True)]
+        at, values = (np.stack(x) for x in zip(*padded, strict=True))
+        return np.array(_recorded((), extended, theta, at, values))
+
+    start = np.asarray(begin.chambers.p)[:, None]
+    parts, carry = run_chunks(advance, begin, max(p.grid.steps for p in plans), BLOCK)
+    body = np.concatenate([_with_pressures(start), *parts], axis=1)
+    t = [p.grid.h * np.arange(body.shape[1]) for p in plans]
+    body = read(t, body)
+    for i, failed_at in zip(lanes, np.asarray(carry.failed_at), strict=True):
+        body[i][:, : len(t[i])][:, t[i] >= failed_at - 0.5 * h[i]] = np.nan
+
+    grids = [_sample_grid(p) for p in plans]
+    block, state, pressures = BLOCK * first.scheme.stages, begin.chambers, [start]
+    longest = max(len(x) for x in grids)
+    grids = [_extended_grid(x, longest) for x in grids]
+    for done in range(0, longest - 1, block):
+        there = chambers(state, [x[done : done + block + 1] for x in grids])
+        state = jax.tree.map(lambda x: x[:, -1], there)
+        pressures.append(np.asarray(there.p))
+    recorded_p = read(grids, _with_pressures(np.concatenate(pressures, axis=1)))
+    return [_sampled(p, body[i], recorded_p[i]) for i, p in enumerate(plans)]
+
+
+def _extended_grid(t: np.ndarray, n: int) -> np.ndarray:
+    """Returns evenly spaced times, extended to `n` times."""
+    return np.concatenate([t, t[-1] + (t[-1] - t[-2]) * np.arange(1.0, n - len(t) + 1.0)])
+
+
+def _with_pressures(p: np.ndarray) -> np.ndarray:
+    """Returns readings (..., channels) with the pressures `p` (..., 2); other channels are zero."""
+    return np.pad(p, [(0, 0)] * (p.ndim - 1) + [(0, len(CHANNELS) - 2)])
 
 
 def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Returns tangents (k, channels, samples) of the readings along `directions` (k, entries)."""
-    at, grid = jnp.asarray(theta), _sample_grid(p.at)
-    series, _ = _series(p, at)
-    t = jnp.asarray(p.grid.h * np.arange(len(series)))
 
     def along(d):
-        read = _recorded_along(p.extended, at, t, series, d, _series_along(p, at, d))
-        pressures = _chambers_along(p.extended, at, jnp.asarray(grid), d)
-        return _sampled(p, np.asarray(read), np.asarray(pressures), grid)
+        state = _begin_along(p.extended, theta, d, p.numerics)
+        return _tangents_from(p, theta, d, state)
 
     return by_directions(along, directions)
-
-
-def by_directions(function, directions: np.ndarray) -> np.ndarray:
-    """Returns `function(directions)` for `directions` (k, n), with `DIRECTIONS` rows per call."""
-    padded = np.zeros((-(-len(directions) // DIRECTIONS), DIRECTIONS, directions.shape[1]))
-    padded.reshape(-1, directions.shape[1])[: len(directions)] = directions
-    found = [np.asarray(function(jnp.asarray(block))) for block in padded]
-    return np.concatenate(found)[: len(directions)]
 
 
 def initial_state_tangents(
     p: TrialPlan, theta: np.ndarray, d_carry: Carry, initial: np.ndarray
 ) -> np.ndarray:
-    """Returns tangents (`DIRECTIONS`, channels, samples) with respect to initial states.
+    """Returns tangents (k, channels, samples) with respect to initial states.
 
     `d_carry` are the tangents of the initial state; their first axis is the direction. `initial`
-    (`DIRECTIONS`, channels) are the tangents of the readings at t = 0. Tangents of pressures are 0.
+    (k, channels) are the tangents of the readings at t = 0. Tangents of pressures are 0.
     """
-    at = jnp.asarray(theta)
-    series, _ = _series(p, at)
-    t, none = jnp.asarray(p.grid.h * np.arange(len(series))), jnp.zeros((DIRECTIONS, len(theta)))
-    d_series = _carried_along(p, at, none, d_carry).at[:, 0].set(initial)
-    read = np.asarray(_recorded_along(p.extended, at, t, series, none, d_series))
-    grid = _sample_grid(p.at)
-    return _sampled(p, read, np.zeros((DIRECTIONS, 2, len(grid))), grid)
+    none = np.zeros((len(initial), len(theta)))
+    carry, _ = _begin_along(p.extended, theta, none, p.numerics)
+    return _tangents_from(p, theta, none, (carry, d_carry), initial)
 
 
-def _series_along(p: TrialPlan, theta, d_theta) -> Array:
-    """Returns the tangents (directions, n, channels) of `_series`."""
-    return _carried_along(p, theta, d_theta, _begin_along(p.extended, theta, d_theta, p.numerics))
+def _tangents_from(
+    p: TrialPlan,
+    theta: np.ndarray,
+    d_theta: np.ndarray,
+    state: tuple[Carry, Carry],
+    initial: np.ndarray | None = None,
+) -> np.ndarray:
+    """Returns tangents (k, channels, samples) from an initial `state` and its tangents."""
+    begin, d_begin = state
+    start = np.asarray(begin.chambers.p)[None], np.asarray(d_begin.chambers.p)[:, None]
 
-
-def _carried_along(p: TrialPlan, theta, d_theta, d_carry) -> Array:
-    others = len(p.extended.channels) - 2
-    start = jnp.pad(d_carry.chambers.p, ((0, 0), (0, others)))[:, None]
-    h = jnp.asarray(p.grid.h)
+    def chambers(here: Chambers, along: Chambers, times: np.ndarray):
+        return _chambers_along(p.extended, theta, here, times, d_theta, along)
 
     def advance(done: int, state):
         carry, d_carry = state
-        t0 = jnp.asarray(p.grid.h * done)
-        carry, (d_saved, d_carry) = _advance_along(
-            p.extended, theta, carry, d_theta, d_carry, h, t0, p.numerics, p.scheme
-        )
-        return d_saved, (carry, d_carry)
+        there, d_there = chambers(carry.chambers, d_carry.chambers, _stage_times(p, done))
+        (saved, carry), (d_saved, d_carry) = _advance_along(
+            p.extended, (theta, carry, there), (d_theta, d_carry, d_there),
+            p.grid.h, p.grid.h * done, p.numerics, p.scheme,
+        )  # fmt: skip
+        return (saved, d_saved), (carry, d_carry)
 
-    state = _begin(p.extended, theta, p.numerics), d_carry
+    def read(t: np.ndarray, series: np.ndarray, d_series: np.ndarray) -> np.ndarray:
+        (at, values), (_, d_values) = _padded(t, series), _padded(t, d_series)
+        return np.asarray(_recorded_along(p.extended, theta, at, values, d_theta, d_values))
+
     parts, _ = run_chunks(advance, state, p.grid.steps, BLOCK)
-    return jnp.concatenate([start, *parts], axis=1)
+    first = _with_pressures(start[1]) if initial is None else initial[:, None]
+    body = np.concatenate([_with_pressures(start[0]), *(x for x, _ in parts)])
+    d_body = np.concatenate([first, *(x for _, x in parts)], axis=1)
+    read_body = read(p.grid.h * np.arange(len(body)), body, d_body)
+
+    grid, block = _sample_grid(p), BLOCK * p.scheme.stages
+    here, along, series, d_series = begin.chambers, d_begin.chambers, [start[0]], [start[1]]
+    for done in range(0, len(grid) - 1, block):
+        there, d_there = chambers(here, along, grid[done : done + block + 1])
+        here = jax.tree.map(lambda x: x[-1], there)
+        along = jax.tree.map(lambda x: x[:, -1], d_there)
+        series.append(np.asarray(there.p))
+        d_series.append(np.asarray(d_there.p))
+    pressures = read(
+        grid,
+        _with_pressures(np.concatenate(series)),
+        _with_pressures(np.concatenate(d_series, axis=1)),
+    )
+    return _sampled(p, read_body, pressures)
+
+
+def by_directions(function, directions: np.ndarray) -> np.ndarray:
+    """Returns `function(directions)` for `directions` (k, n), in calls of equal numbers of rows.
+
+    The number of rows is a multiple of `DIRECTIONS`, so that few programs are compiled.
+    """
+    calls = -(-len(directions) // MOST_DIRECTIONS)
+    rows = DIRECTIONS * -(-len(directions) // (DIRECTIONS * calls))
+    padded = np.zeros((calls, rows, directions.shape[1]))
+    padded.reshape(-1, directions.shape[1])[: len(directions)] = directions
+    found = [np.asarray(function(block)) for block in padded]
+    return np.concatenate(found)[: len(directions)]
 
 
 def on_all_cores(work, items: list) -> list:

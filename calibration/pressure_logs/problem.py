@@ -149,10 +149,9 @@ class PressureLogProblem(AbstractProblem):
         each = [self._at_samples(x) for x in series]
         return [np.stack(x) for x in zip(*each, strict=True)]
 
-    def _secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
-        here = self.predict(theta)
-        there = [self.predict(other) for other in others]
-        return [np.stack([x[i] - here[i] for x in there]) for i in range(len(here))]
+    def _coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+        each = [self.predict(theta) for theta in thetas]
+        return [np.stack(x) for x in zip(*each, strict=True)]
 
     def _moved(self, theta: np.ndarray, along: np.ndarray) -> ExtendedModel:
         """Returns the model with only the effects that are not at null or that `along` marks."""

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from slider_jax.beam.parameters import Numerics, Scalar
 from slider_jax.dynamics.model import Mesh, Model, make_mesh
-from slider_jax.dynamics.pressures import chamber_history
+from slider_jax.dynamics.pressures import Chambers, chamber_history
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest, make_step
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 
@@ -58,25 +58,28 @@ def rollout(
     scheme: Scheme = SDIRK2,
     *,
     begin: Carry | None = None,
+    chambers: Chambers | None = None,
     checkpoint: bool = True,
 ) -> Rollout:
     """Integrates `model` over `times` and stores `save(snapshot)` at the end of every step.
 
     Without `begin`, the body starts straight and at rest relative to its support. To continue an
-    earlier rollout, pass its `final` as `begin`. If a step fails, the state remains frozen and `ok`
-    is false. No error is raised here, because an error would stop all robots of a batch. Callers
-    such as `simulate_trial` raise `SolverError`. With `checkpoint`, reverse-mode differentiation
-    stores only the carry of each step and recomputes all other values.
+    earlier rollout, pass its `final` as `begin`. `chambers` is the `chamber_history` at the ends of
+    all stages (default: computed from the drive). If a step fails, the state remains frozen and
+    `ok` is false. No error is raised here, because an error would stop all robots of a batch.
+    Callers such as `simulate_trial` raise `SolverError`. With `checkpoint`, reverse-mode
+    differentiation stores only the carry of each step and recomputes all other values.
     """
     mesh = make_mesh(model.body, numerics)
     if begin is None:
         begin = at_rest(model, numerics, times.t0)
     begins = times.t0 + times.h * jnp.arange(float(times.steps))
-    at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)  # (steps, stages)
-    at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
-    history = chamber_history(model, begin.chambers, at)
+    if chambers is None:
+        at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)  # (steps, stages)
+        at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
+        chambers = chamber_history(model, begin.chambers, at)
     shape = (times.steps, scheme.stages)
-    chambers = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), history)
+    stages = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), chambers)
     step = make_step(model, mesh, numerics, scheme)
 
     def body(carry, inputs):
@@ -86,7 +89,7 @@ def rollout(
 
     if checkpoint:
         body = jax.checkpoint(body, prevent_cse=False)
-    final, saved = jax.lax.scan(body, begin, (begins, chambers))
+    final, saved = jax.lax.scan(body, begin, (begins, stages))
     return Rollout(times.times, saved, final, mesh)
 
 

@@ -60,8 +60,9 @@ def tangents(plan, theta, directions):
 
 def replace_the_beam(monkeypatch):
     """Replaces the simulation of trials by `readings`."""
+    monkeypatch.setattr(problem, "predict_each", lambda pairs: [predict(*pair) for pair in pairs])
+    monkeypatch.setattr(information, "predict_readings", predict)
     for module in (problem, information):
-        monkeypatch.setattr(module, "predict_readings", predict)
         monkeypatch.setattr(module, "reading_tangents", tangents)
 
 

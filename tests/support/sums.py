@@ -4,8 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from calibration.inference.problem import ChannelBlock
-
 TRIALS, SAMPLES = 4, 300
 
 SHAPES = np.random.default_rng(1).normal(size=(5, TRIALS, SAMPLES))
@@ -47,9 +45,11 @@ class Sums:
     def residuals(self, predicted, white):
         return {(i, "tip"): self.y[i] - predicted[i][4] for i in range(TRIALS)}
 
-    def blocks(self, residuals, derivatives, white):
-        found = []
-        for (i, channel), r in residuals.items():
-            J = derivatives[i][:, 4]
-            found.append(ChannelBlock(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
-        return found
+    def coarse(self, thetas):
+        return [np.stack(x) for x in zip(*(self.predict(theta) for theta in thetas), strict=True)]
+
+    def secants(self, theta, others):
+        return [y[1:] - y[:1] for y in self.coarse([theta, *others])]
+
+    def whitened(self, changes, white):
+        return {(i, "tip"): x[:, 4] for i, x in enumerate(changes)}

@@ -5,7 +5,7 @@ import pytest
 
 from calibration.discrepancy.rounds import agreement
 from calibration.discrepancy.scores import least_squares_step, score, tangent_cosine
-from calibration.inference.gauss_newton import Bounds, _linear_optimum, inverse
+from calibration.inference.gauss_newton import Bounds, inverse, linear_optimum
 from calibration.inference.problem import ChannelBlock, summed
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
@@ -100,9 +100,9 @@ def test_the_bounded_optimum_is_exact_inside_and_at_the_bound_outside():
     start = np.array([5.0, 0.5])
     free = start + np.linalg.solve(A, b)
     assert 0.0 < free[1] < 1.0
-    found = _linear_optimum(A, b, start, Bounds.of(entries))
+    found = linear_optimum(A, b, start, Bounds.of(entries))
     np.testing.assert_allclose(found, free, rtol=1e-5)
-    pushed = _linear_optimum(A, b + A @ np.array([0.0, -5.0]), start, Bounds.of(entries))
+    pushed = linear_optimum(A, b + A @ np.array([0.0, -5.0]), start, Bounds.of(entries))
     assert -0.05 <= pushed[1] < -0.04
 
 

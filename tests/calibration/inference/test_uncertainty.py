@@ -36,8 +36,8 @@ class Drag(AbstractProblem):
     def _tangents(self, theta, directions):
         return [directions[0, 0] * force(1.0, 1.0)[None]] * TRIALS
 
-    def _secants(self, theta, others):
-        return self._tangents(theta, np.stack(others) - theta)
+    def _coarse(self, thetas):
+        return [np.stack(x) for x in zip(*(self._predict(t) for t in thetas), strict=True)]
 
     def spans(self):
         return None
