@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.discrepancy.refits import Refits, Start, effect_tangents, initial_theta
+from calibration.discrepancy.refits import FitStart, Refits, effect_tangents, initial_theta
 from calibration.discrepancy.rounds import (
     Alternative,
     Refit,
@@ -122,7 +122,7 @@ def _contenders(round_: SelectionStep, settings: SelectionSettings) -> list[str]
 
 def _substitution(
     refits: Refits, found: Selection, round_: SelectionStep, alternative: str
-) -> Start | None:
+) -> FitStart | None:
     """Returns the start of a fit with an alternative substituted for a round's chosen effect.
 
     The final fit may already contain the alternative. Returns None if another effect in the fit
@@ -137,7 +137,7 @@ def _substitution(
     theta = refits.null(final.theta, place)
     rest = final.free[~np.isin(final.free, place)]
     if alternative in found.effects:
-        return Start(theta, rest, theta)
+        return FitStart(theta, rest, theta)
     rounds = [round_, *found.rounds]
     fits = [t.fit for r in rounds for t in r.refitted if t.name == alternative]
     start = theta.copy()
@@ -147,4 +147,4 @@ def _substitution(
         step = next(s.step for r in rounds for s in r.scores if s.name == alternative)
         own = np.isin(np.arange(len(theta)), group)
         start = initial_theta(refits, theta, group, np.where(own, step, 0.0))
-    return Start(start, np.concatenate([rest, group]), theta)
+    return FitStart(start, np.concatenate([rest, group]), theta)

@@ -87,7 +87,7 @@ Tangents = dict[tuple[int, str], np.ndarray]
 """Whitened tangents (parameters, n) of every trial and channel."""
 
 
-class Start(NamedTuple):
+class FitStart(NamedTuple):
     """Start of a fit with another set of effects."""
 
     theta: np.ndarray
@@ -100,7 +100,7 @@ class Start(NamedTuple):
 class Estimate:
     """A fit by Broyden's method; the caller simulates the readings at `proposed`."""
 
-    def __init__(self, refits: "Refits", start: Start, tangents: Tangents):
+    def __init__(self, refits: "Refits", start: FitStart, tangents: Tangents):
         self.refits, self.start = refits, start
         self.proposed = start.theta
         self.J = {key: x[start.free] for key, x in tangents.items()}
@@ -169,7 +169,7 @@ class Refits:
         return theta
 
     def estimated(
-        self, current: Fit, starts: Sequence[Start], tangents: Tangents, judge: bool = False
+        self, current: Fit, starts: Sequence[FitStart], tangents: Tangents, judge: bool = False
     ) -> list[Fit]:
         """Returns a fit from each of `starts`, with readings of the coarse mesh.
 

@@ -26,7 +26,7 @@ from calibration.discrepancy.alternatives import (
     judge_alternatives,
 )
 from calibration.discrepancy.ranges import widen_ranges
-from calibration.discrepancy.refits import Refits, Start, effect_tangents, initial_theta
+from calibration.discrepancy.refits import FitStart, Refits, effect_tangents, initial_theta
 from calibration.discrepancy.rounds import (
     Refit,
     Selection,
@@ -56,7 +56,7 @@ def select_effects(
     """Selects the effects that the base model with the fitted parameters `base_names` lacks."""
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
-    first = fit_gauss_newton(problem, entries, theta, free, progress)
+    first = fit_gauss_newton(problem, entries, theta, free, progress, exact=False)
     white = problem.whiteners(first.predicted)
     base = fit_gauss_newton(problem, entries, first.theta, free, progress, white)
     refits = Refits(problem, entries, white, progress, settings)
@@ -156,7 +156,7 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
             theta = initial_theta(refits, current.theta, group, s.step)
             free = np.concatenate([current.free, group])
             candidates.append(s)
-            starts.append(Start(theta, free, current.theta))
+            starts.append(FitStart(theta, free, current.theta))
     if candidates:
         progress(f"refitting with each of: {', '.join(s.name for s in candidates)}")
     for s, fit in zip(candidates, refits.estimated(current, starts, J), strict=True):

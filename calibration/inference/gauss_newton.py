@@ -37,6 +37,10 @@ predicted decrease."""
 GAIN_TOLERANCE = 0.02
 """A fit ends if the next step would lower the sum of squares by less than this multiple of the
 residual's mean square. The parameters are then within 1/7 standard error of the optimum."""
+FEW, DIFFERENCE = 3, 1e-4
+"""A fit of less than one in `FEW` entries starts with differences instead of tangents. All tangents
+are computed together, so a few of them are dear. A difference is for a change of a parameter by the
+fraction `DIFFERENCE` of its prior range."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Fractions of a step that are tried in this order."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
@@ -134,12 +138,14 @@ def fit_gauss_newton(
     free: np.ndarray,
     progress: Callable[[str], None] = lambda text: None,
     white: dict[tuple[int, str], Whitener] | None = None,
+    exact: bool = True,
 ) -> Fit:
     """Returns the fit of the entries `free` (indices) of `theta`; the other entries are fixed.
 
     A step is shortened if the simulation fails. The fit does not converge if the simulation or a
     tangent at the start fails. `white` are the whiteners of the residuals (default: computed from
     the readings at the start). Only fits with the same whiteners have comparable sums of squares.
+    If `exact` is false, the fit may end with tangents from differences and Broyden's formula.
     """
     bounds = Bounds.of([entries[i] for i in free])
     directions = np.eye(len(theta))[free]
@@ -148,7 +154,7 @@ def fit_gauss_newton(
     residuals = problem.residuals(predicted, white)
     square, converged = total(residuals), False
     samples = sum(len(r) for r in residuals.values())
-    J, fresh = None, False
+    J, fresh = _differences(problem, entries, theta, free, white), False
     for iteration in range(MAX_ITERATIONS):
         if J is None:
             J, fresh = problem.whitened(problem.tangents(theta, directions), white), True
@@ -162,7 +168,7 @@ def fit_gauss_newton(
         enough = unit * (GAIN_TOLERANCE if unit < POOR_FIT else ROUGH_GAIN_TOLERANCE)
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
         if abs(expected) < enough:
-            if fresh:
+            if fresh or not exact:
                 converged = True
                 break
             J = None
@@ -189,6 +195,31 @@ def fit_gauss_newton(
             J = None
         theta, predicted, residuals, square = trial, tried, found, total(found)
     return Fit(theta, np.asarray(free), square, samples, blocks, predicted, converged)
+
+
+def _differences(
+    problem: AbstractProblem,
+    entries: Sequence[Parameter],
+    theta: np.ndarray,
+    free: np.ndarray,
+    white: dict[tuple[int, str], Whitener],
+) -> dict[tuple[int, str], np.ndarray] | None:
+    """Returns whitened derivatives from differences of readings, or None.
+
+    The result is None if most entries are free, since tangents then take less time, or if a
+    difference is not finite.
+    """
+    if len(theta) < FEW * len(free):
+        return None
+    others, steps = [], []
+    for i in free:
+        prior = entries[i].prior
+        step = DIFFERENCE * (prior.high - prior.low)
+        steps.append(step if theta[i] + step < prior.high else -step)
+        others.append(theta + steps[-1] * np.eye(len(theta))[i])
+    changes = problem.secants(theta, others)
+    J = problem.whitened([x / np.array(steps)[:, None, None] for x in changes], white)
+    return J if all(np.isfinite(x).all() for x in J.values()) else None
 
 
 def broyden_update(

@@ -21,6 +21,9 @@ beam, not on the drive."""
 DISCREPANCY_STRIDES = 10.0
 """Number of strides in which the discrepancy's correlation decreases to 1/e. The measured
 correlation of successive strides is 0.86 to 0.94, so a mean over strides hardly reduces it."""
+WHOLE = 2600
+"""Largest number of samples in a series that is whitened as one block. Its covariance is exact, and
+one large block takes less time than a filter with many states."""
 BLOCK = 256
 """Number of samples that are whitened together."""
 MAX_HARMONICS = 128
@@ -79,6 +82,11 @@ def quantisation_step(values: np.ndarray) -> float:
     return least if np.mean(off < 0.05) > 0.95 else 0.0
 
 
+def _block_length(n: int) -> int:
+    """Returns the number of samples in a block of a series with `n` samples."""
+    return max(n, 1) if n <= WHOLE else BLOCK
+
+
 class Whitener:
     """Transforms series of one trial and channel to independent samples of unit variance.
 
@@ -110,7 +118,7 @@ class Whitener:
         self._white = np.maximum(variance, 1e-12 * (noise.slow**2 + scale**2))
         self._t, self._noise, self._scale, self._frequency = t, noise, scale, frequency
         self._modes = _Modes.of(t, noise, scale, frequency, float(np.median(self._white)))
-        self._edges = [*range(0, len(t), BLOCK), len(t)]
+        self._edges = [*range(0, len(t), _block_length(len(t))), len(t)]
         numbers = range(len(self._edges) - 1)
         repeated = (i for i in numbers[:-1] if _same(self._pattern(i), self._pattern(i + 1)))
         self._regular = self._matrices(self._pattern(next(repeated, 0)))
@@ -214,7 +222,7 @@ class _Modes(NamedTuple):
     ) -> "_Modes":
         """Returns the processes of one series with a variance `white` of the white noise."""
         slow = [[noise.slow], [1.0 / noise.slow_time], [0.0], [0.0], [-1.0]]
-        if len(t) <= BLOCK:
+        if len(t) <= WHOLE:
             return cls(*np.array(slow))
         if not frequency:
             single = [[scale], [1.0 / DISCREPANCY_TIME], [0.0], [0.0], [0.0]]

@@ -1,15 +1,17 @@
 """Predicts a trial's readings, and their tangents (derivatives with respect to parameters)."""
 
+from collections import defaultdict
 from collections.abc import Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from threading import Lock
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibration.model.extended import ExtendedModel
+from calibration.model.extended import ExtendedModel, model_parameters
 from slider_jax.batch.chunks import available_cores
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
@@ -19,7 +21,8 @@ from slider_jax.dynamics.pressures import Chambers, chamber_history, start_chamb
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SCHEMES, SDIRK2, Scheme
-from slider_jax.effects import Readings
+from slider_jax.effects import ActingPressure, Command, Flow, Readings
+from slider_jax.effects.library import LIBRARY
 from slider_jax.experiment.load import Experiment, trial_conditions
 from slider_jax.experiment.playback import LONGEST_STEP
 from slider_jax.experiment.prepare import (
@@ -33,7 +36,7 @@ from slider_jax.experiment.prepare import (
 from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.trial import run_chunks
 
-BLOCK = 500
+BLOCK = 250
 """Time steps or samples per call of a compiled program. A long trial needs several calls."""
 DIRECTIONS = 8
 """A call of a compiled program computes a multiple of this number of tangents."""
@@ -180,13 +183,33 @@ def _along(function, arguments, directions):
     return eqx.combine(moving, fixed), tangents
 
 
+def _compiled_once(function):
+    """Returns the compiled `function`; a thread waits while another thread compiles it.
+
+    JAX compiles a program twice if two threads call it for the first time at the same time.
+    """
+    jitted, locks, ready = eqx.filter_jit(function), defaultdict(Lock), set()
+
+    def call(*arguments):
+        leaves, structure = jax.tree.flatten(arguments)
+        key = (structure, *(np.shape(x) for x in leaves))
+        if key in ready:
+            return jitted(*arguments)
+        with locks[key]:
+            found = jitted(*arguments)
+            ready.add(key)
+        return found
+
+    return call
+
+
 def _lanes(function):
     """Returns the compiled batch of `function`, called as batch(static arguments, *arguments).
 
     The first axis of each array in `arguments` is the lane.
     """
 
-    @eqx.filter_jit
+    @_compiled_once
     def batch(static, *lanes):
         return eqx.filter_vmap(lambda *lane: function(*lane, *static))(*lanes)
 
@@ -199,12 +222,12 @@ _chamber_lanes = _lanes(_chambers)
 _recorded = _lanes(_read)
 
 
-@eqx.filter_jit
+@_compiled_once
 def _begin_along(extended: ExtendedModel, theta, directions, numerics: Numerics):
     return _along(lambda x: at_rest(extended.at(x), numerics), (theta,), (directions,))
 
 
-@eqx.filter_jit
+@_compiled_once
 def _advance_along(extended: ExtendedModel, here, along, h, t0, numerics: Numerics, scheme: Scheme):
     """Returns (readings, last state) of `_chunk` at `here` = (theta, carry, chambers); tangents."""
 
@@ -214,7 +237,7 @@ def _advance_along(extended: ExtendedModel, here, along, h, t0, numerics: Numeri
     return _along(function, here, along)
 
 
-@eqx.filter_jit
+@_compiled_once
 def _chambers_along(extended: ExtendedModel, theta, begin, times, d_theta, d_begin):
     def function(theta, begin):
         return _chambers(extended, theta, begin, times)
@@ -222,7 +245,7 @@ def _chambers_along(extended: ExtendedModel, theta, begin, times, d_theta, d_beg
     return _along(function, (theta, begin), (d_theta, d_begin))
 
 
-@eqx.filter_jit
+@_compiled_once
 def _recorded_along(extended: ExtendedModel, theta, t, series, d_theta, d_series):
     return _along(lambda x, s: _read(extended, x, t, s), (theta, series), (d_theta, d_series))[1]
 
@@ -260,22 +283,24 @@ def _padded(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([t, rest]), np.pad(series, width, mode="edge")
 
 
-def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray) -> np.ndarray:
-    """Returns readings (..., channels, samples) at the trial's sample times.
+def _at_samples(p: TrialPlan, series: np.ndarray) -> np.ndarray:
+    """Returns the `series` (..., channels, steps), interpolated to the trial's sample times."""
+    flat = series[..., : p.grid.steps + 1].reshape(-1, p.grid.steps + 1).T
+    found = sample_series(p.grid.times, flat, p.at, p.grid.edges).T
+    return found.reshape(*series.shape[:-1], len(p.at))
 
-    `body` (..., channels, steps) are readings at the ends of steps; they are interpolated.
-    `pressures` (..., channels, n) are readings of the pressures at the times of `_sample_grid`.
+
+def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray) -> np.ndarray:
+    """Returns readings (channels, samples) at the trial's sample times.
+
+    `body` (channels, steps) are readings at the ends of steps; they are interpolated. `pressures`
+    (channels, n) are readings of the pressures at the times of `_sample_grid`.
     """
-    lead, t = body.shape[:-2], _sample_grid(p)
-    steps = body[..., 2:, : p.grid.steps + 1]
-    flat = steps.reshape(-1, p.grid.steps + 1).T
-    at_samples = sample_series(p.grid.times, flat, p.at, p.grid.edges).T
+    t = _sample_grid(p)
     # t[0] is set to 0, so only the first interval may differ from the other intervals.
     index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
     index = np.clip(index, 0, len(t) - 1)
-    return np.concatenate(
-        [pressures[..., :2, index], at_samples.reshape(*lead, -1, len(p.at))], axis=-2
-    )
+    return np.concatenate([pressures[:2, index], _at_samples(p, body[2:])])
 
 
 def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
@@ -360,13 +385,26 @@ def _with_pressures(p: np.ndarray) -> np.ndarray:
 
 
 def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Returns tangents (k, channels, samples) of the readings along `directions` (k, entries)."""
+    """Returns tangents (k, channels, samples) of the readings along `directions` (k, entries).
+
+    The pressures' tangents are interpolated between time steps, like those of the other channels.
+    """
 
     def along(d):
-        state = _begin_along(p.extended, theta, d, p.numerics)
-        return _tangents_from(p, theta, d, state)
+        return _tangents_from(p, theta, d, _begin_along(p.extended, theta, d, p.numerics))
 
-    return by_directions(along, directions)
+    return by_directions(along, directions, _moves_pressures(p.extended, directions))
+
+
+def _moves_pressures(extended: ExtendedModel, directions: np.ndarray) -> np.ndarray:
+    """Returns for each of the `directions` (k, entries) whether it changes a pressure."""
+    moving = [
+        issubclass(LIBRARY[x.effect], (Command, Flow, ActingPressure))
+        if x.effect
+        else x.name == "k"
+        for x in model_parameters(extended.effects)
+    ]
+    return np.any(directions[:, moving] != 0.0, axis=1)
 
 
 def initial_state_tangents(
@@ -390,58 +428,54 @@ def _tangents_from(
     initial: np.ndarray | None = None,
 ) -> np.ndarray:
     """Returns tangents (k, channels, samples) from an initial `state` and its tangents."""
-    begin, d_begin = state
-    start = np.asarray(begin.chambers.p)[None], np.asarray(d_begin.chambers.p)[:, None]
+    (begin, d_begin), h = state, np.asarray(p.grid.h)
+    pressures_move = _moves_pressures(p.extended, d_theta).any()
 
-    def chambers(here: Chambers, along: Chambers, times: np.ndarray):
-        return _chambers_along(p.extended, theta, here, times, d_theta, along)
+    def chambers(carry: Carry, d_carry: Carry, times: np.ndarray) -> tuple[Chambers, Chambers]:
+        here, along = carry.chambers, d_carry.chambers
+        if pressures_move:
+            return _chambers_along(p.extended, theta, here, times, d_theta, along)
+        same = (p.extended, theta, here, times)
+        lane = jax.tree.map(lambda x: np.stack([np.asarray(x)] * LANES), same)
+        there = jax.tree.map(lambda x: x[0], _chamber_lanes((), *lane))
+        zero = jax.tree.map(lambda x: np.zeros((len(d_theta), *x.shape)), there)
+        return there, zero
 
     def advance(done: int, state):
         carry, d_carry = state
-        there, d_there = chambers(carry.chambers, d_carry.chambers, _stage_times(p, done))
+        there, d_there = chambers(carry, d_carry, _stage_times(p, done))
         (saved, carry), (d_saved, d_carry) = _advance_along(
             p.extended, (theta, carry, there), (d_theta, d_carry, d_there),
-            p.grid.h, p.grid.h * done, p.numerics, p.scheme,
+            h, h * done, p.numerics, p.scheme,
         )  # fmt: skip
         return (saved, d_saved), (carry, d_carry)
 
-    def read(t: np.ndarray, series: np.ndarray, d_series: np.ndarray) -> np.ndarray:
-        (at, values), (_, d_values) = _padded(t, series), _padded(t, d_series)
-        return np.asarray(_recorded_along(p.extended, theta, at, values, d_theta, d_values))
-
     parts, _ = run_chunks(advance, state, p.grid.steps, BLOCK)
-    first = _with_pressures(start[1]) if initial is None else initial[:, None]
-    body = np.concatenate([_with_pressures(start[0]), *(x for x, _ in parts)])
-    d_body = np.concatenate([first, *(x for _, x in parts)], axis=1)
-    read_body = read(p.grid.h * np.arange(len(body)), body, d_body)
-
-    grid, block = _sample_grid(p), BLOCK * p.scheme.stages
-    here, along, series, d_series = begin.chambers, d_begin.chambers, [start[0]], [start[1]]
-    for done in range(0, len(grid) - 1, block):
-        there, d_there = chambers(here, along, grid[done : done + block + 1])
-        here = jax.tree.map(lambda x: x[-1], there)
-        along = jax.tree.map(lambda x: x[:, -1], d_there)
-        series.append(np.asarray(there.p))
-        d_series.append(np.asarray(d_there.p))
-    pressures = read(
-        grid,
-        _with_pressures(np.concatenate(series)),
-        _with_pressures(np.concatenate(d_series, axis=1)),
+    first = _with_pressures(np.asarray(d_begin.chambers.p)[:, None])
+    first = first if initial is None else initial[:, None]
+    start = _with_pressures(np.asarray(begin.chambers.p)[None])
+    series = np.concatenate([start, *(x for x, _ in parts)])
+    d_series = np.concatenate([first, *(x for _, x in parts)], axis=1)
+    (at, series), (_, d_series) = (
+        _padded(h * np.arange(len(series)), x) for x in (series, d_series)
     )
-    return _sampled(p, read_body, pressures)
+    read = np.asarray(_recorded_along(p.extended, theta, at, series, d_theta, d_series))
+    return _at_samples(p, read)
 
 
-def by_directions(function, directions: np.ndarray) -> np.ndarray:
+def by_directions(function, directions: np.ndarray, kinds: np.ndarray | None = None) -> np.ndarray:
     """Returns `function(directions)` for `directions` (k, n), in calls of equal numbers of rows.
 
-    The number of rows is a multiple of `DIRECTIONS`, so that few programs are compiled.
+    The number of rows is a multiple of `DIRECTIONS`, so that few programs are compiled. Rows of the
+    same kind, given by `kinds` (k,), are next to each other in these calls.
     """
+    order = np.arange(len(directions)) if kinds is None else np.argsort(kinds, kind="stable")
     calls = -(-len(directions) // MOST_DIRECTIONS)
     rows = DIRECTIONS * -(-len(directions) // (DIRECTIONS * calls))
     padded = np.zeros((calls, rows, directions.shape[1]))
-    padded.reshape(-1, directions.shape[1])[: len(directions)] = directions
-    found = [np.asarray(function(block)) for block in padded]
-    return np.concatenate(found)[: len(directions)]
+    padded.reshape(-1, directions.shape[1])[: len(directions)] = directions[order]
+    found = np.concatenate([np.asarray(function(block)) for block in padded])
+    return found[np.argsort(order)]
 
 
 def on_all_cores(work, items: list) -> list:

@@ -10,6 +10,7 @@ from calibration.inference.noise import (
     BLOCK,
     DISCREPANCY_STRIDES,
     DISCREPANCY_TIME,
+    WHOLE,
     Noise,
     Whitener,
     _discrepancy_correlation,
@@ -57,7 +58,7 @@ def dense_root(t, noise, model, channel, frequency, spans=()):
 
 
 @pytest.mark.parametrize("frequency", [None, 1.0, 4.8])
-@pytest.mark.parametrize("n", [20, BLOCK])
+@pytest.mark.parametrize("n", [20, BLOCK, WHOLE])
 def test_a_short_series_is_whitened_by_the_exact_covariance(n, frequency):
     rng = np.random.default_rng(4)
     t = np.sort(rng.uniform(0.0, n / 500.0, n))
