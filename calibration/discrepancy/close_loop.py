@@ -1,6 +1,6 @@
 """Closes the loop on an experiment: measured trials give a verdict and a better model."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,8 +16,17 @@ from calibration.discrepancy.verdict import EffectStatus, judge_effects, reach_v
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, channel_errors, excess
+from calibration.inference.measured_noise import ChannelNoise, measured_noises
+from calibration.inference.noise import Noise
 from calibration.inference.problem import AbstractProblem, TankProblem, total
-from calibration.inference.uncertainty import confidence_interval, hausman_check
+from calibration.inference.tails import Tails, heavy_tails
+from calibration.inference.uncertainty import (
+    Instability,
+    confidence_interval,
+    hausman_check,
+    unstable_parameters,
+    widen_by_correlation,
+)
 from calibration.measurements.records import Finding, Record
 from calibration.model.extended import (
     BASE,
@@ -54,6 +63,13 @@ class LoopOutcome:
     """Held-out trials, as indices of `problem.records`."""
     audit: list[Finding] = field(default_factory=list)
     """Faults of the data and the actions taken."""
+    noise: dict[str, ChannelNoise] = field(default_factory=dict)
+    """Declared, measured and used white noise of each channel; empty for pressure logs."""
+
+    @property
+    def unstable(self) -> list[Instability]:
+        """Parameters with different values in the first and the second half of the trials."""
+        return unstable_parameters(self.final, self.entries)
 
     @property
     def effects(self) -> list[str]:
@@ -114,13 +130,22 @@ def close_loop_on_trials(
     """Returns the loop's result: the effects that are missing in the model of the measured trials.
 
     `effects` are the candidates' names (default: the whole library). Residuals are computed at the
-    resolution `fine` and tangents at `coarse`. Trials of the files `kept` are not held out. Raises
+    resolution `fine` and tangents at `coarse`. Trials of the files `kept` are not held out. If the
+    noise of a channel has heavy tails, the loop runs again with weights for this noise. Raises
     `InputError` if fewer than `settings.min_trials` trials can be used.
     """
+    noise: dict[str, ChannelNoise] = {}
+    weighed: dict[tuple[str, str], Noise] = {}
 
     def problem_of(chosen: Sequence[Record]) -> AbstractProblem:
-        problem = TankProblem.of(experiment, list(chosen), names, fine=fine, coarse=coarse)
-        return replace(problem, memo=memo)
+        problem = TankProblem.of(
+            experiment, list(chosen), names, fine=fine, coarse=coarse, measured=noise
+        )
+        own = {
+            (i, channel): weighed.get((chosen[i].trial.file, channel), x)
+            for (i, channel), x in problem.noise.items()
+        }
+        return replace(problem, memo=memo, noise=own)
 
     names = tuple(candidate_effects() if effects is None else effects)
     entries = model_parameters(names)
@@ -132,6 +157,10 @@ def close_loop_on_trials(
     )
     for finding in audited.findings:
         progress(str(finding))
+    noise |= measured_noises(experiment.sensors, audited.records)
+    for channel, x in noise.items():
+        if x.replaced:
+            progress(f"{channel}: the measured noise replaces the declared noise")
 
     def outcome_of(records: Sequence[Record]) -> LoopOutcome:
         held = choose_held_out(records, kept, settings)
@@ -149,7 +178,30 @@ def close_loop_on_trials(
         for finding in outlying:
             progress(str(finding))
         outcome = outcome_of(rest)
-    return replace(outcome, audit=[*audited.findings, *outlying])
+    tails = heavy_tails(final_residuals(outcome))
+    if tails:
+        progress(f"running again: the noise of {', '.join(tails)} has heavy tails")
+        weighed |= robust_noise(outcome, tails)
+        noise |= {c: noise[c]._replace(freedom=x.freedom) for c, x in tails.items()}
+        outcome = outcome_of(outcome.problem.records)
+    return replace(outcome, audit=[*audited.findings, *outlying], noise=noise)
+
+
+def final_residuals(outcome: LoopOutcome) -> dict[tuple[int, str], np.ndarray]:
+    """Returns the whitened residual (n,) of the final fit for each trial (index) and channel."""
+    predicted = outcome.final.predicted
+    return outcome.problem.residuals(predicted, outcome.problem.whiteners(predicted))
+
+
+def robust_noise(outcome: LoopOutcome, tails: Mapping[str, Tails]) -> dict[tuple[str, str], Noise]:
+    """Returns the noise of each trial's file and channel in `tails`, with one value per reading."""
+    found = {}
+    for (i, channel), r in final_residuals(outcome).items():
+        if channel in tails:
+            noise = outcome.problem.noise[i, channel]
+            white = noise.white * np.sqrt(tails[channel].variances(r))
+            found[outcome.problem.records[i].trial.file, channel] = noise._replace(white=white)
+    return found
 
 
 def held_out_growth(rest: AbstractProblem, without: Fit, with_it: Fit) -> Growth:
@@ -245,7 +297,7 @@ def conclude(
         return fit_gauss_newton(all_trials, ranges, x.theta, x.free, progress)
 
     final = widen_ranges(result, refit(result.final, result.entries), refit)
-    final = hausman_check(all_trials, final)
+    final = widen_by_correlation(all_trials, hausman_check(all_trials, final))
     after = excess(problem, result.final)
     verdict = reach_verdict(result, judge_effects(result, final.theta, after), after)
     return LoopOutcome(

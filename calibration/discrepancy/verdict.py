@@ -31,8 +31,8 @@ class EffectStatus(NamedTuple):
 
 
 def channels_above_floor(after: Mapping[str, Excess], settings: SelectionSettings) -> list[str]:
-    """Returns the channels whose residual is above the noise floor."""
-    return [c for c, x in after.items() if x.all > settings.noise_floor]
+    """Returns the channels whose residual is above the noise floor, or is not white."""
+    return [c for c, x in after.items() if x.above(settings.noise_floor)]
 
 
 def parameters_beyond_prior(search: Selection, theta: np.ndarray, name: str) -> list[int]:

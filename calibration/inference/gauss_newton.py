@@ -67,6 +67,8 @@ class Fit(NamedTuple):
     not significant. None before `uncertainty.hausman_check`."""
     widening: np.ndarray | float = 1.0
     """Factor (k,) that widens the standard errors of entries with a significant `difference`."""
+    correlation: np.ndarray | float = 1.0
+    """Factor (k,) that widens the standard errors if the whitened residuals are correlated."""
 
     @property
     def inflation(self) -> float:
@@ -81,8 +83,12 @@ class Fit(NamedTuple):
 
     @property
     def errors(self) -> np.ndarray:
-        """Returns the standard errors (k,) of the free entries, multiplied by `widening`."""
-        return np.sqrt(np.diag(self.covariance)) * self.widening
+        """Returns the standard errors (k,) of the free entries.
+
+        They are multiplied by the larger of `widening` and `correlation`, because both factors
+        measure errors that are larger than those of white noise.
+        """
+        return np.sqrt(np.diag(self.covariance)) * np.maximum(self.widening, self.correlation)
 
 
 class Bounds(NamedTuple):

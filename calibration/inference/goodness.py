@@ -6,22 +6,38 @@ import numpy as np
 
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import AbstractProblem
+from calibration.inference.whiteness import SeriesTest, whiteness_tests
 from slider_jax.channels import CHANNELS, row_of
 
 
 class Excess(NamedTuple):
-    """Mean squares of a channel's whitened residuals."""
+    """Mean squares of a channel's whitened residuals, and tests of their whiteness."""
 
     trials: np.ndarray
     """Mean square (trials,) of every trial, or NaN if the trial does not have this channel."""
     all: float
     """Mean square of all trials together."""
+    series: tuple[SeriesTest, ...] = ()
+    """Tests of the channel's whitened residual in every trial."""
+
+    @property
+    def patterns(self) -> tuple[SeriesTest, ...]:
+        """Returns the tests that found a line or a correlation that is large enough to matter."""
+        return tuple(x for x in self.series if x.has_line or x.correlated)
+
+    def above(self, noise_floor: float) -> bool:
+        """Returns whether the residual exceeds the mean square `noise_floor` or has a pattern."""
+        return self.all > noise_floor or bool(self.patterns)
 
 
 def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
-    """Returns the mean squares of each channel's whitened residuals. Noise alone would give 1."""
+    """Returns the mean squares and the whiteness of each channel's whitened residuals.
+
+    Noise alone would give a mean square of 1.
+    """
     white = problem.whiteners(fit.predicted)
     residuals = problem.residuals(fit.predicted, white)
+    tests = whiteness_tests(problem.records, fit.predicted, residuals)
     found = {}
     for channel in problem.channels:
         each = {i: r for (i, name), r in residuals.items() if name == channel}
@@ -29,7 +45,9 @@ def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
             squares = np.full(len(problem.records), np.nan)
             for i, r in each.items():
                 squares[i] = np.mean(r**2)
-            found[channel] = Excess(squares, float(np.mean(np.concatenate([*each.values()]) ** 2)))
+            square = float(np.mean(np.concatenate([*each.values()]) ** 2))
+            own = tuple(x for x in tests if x.channel == channel)
+            found[channel] = Excess(squares, square, own)
     return found
 
 

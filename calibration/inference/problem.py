@@ -9,7 +9,7 @@ Fits, cross-validation and equivalence classes are computed from sums of A, b an
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple, final
@@ -17,6 +17,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from calibration.inference.cache import Memo, cached
+from calibration.inference.measured_noise import ChannelNoise
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.measurements.records import Record
 from calibration.model.extended import base_values, base_vector, model_parameters
@@ -215,11 +216,13 @@ class TankProblem(AbstractProblem):
         channels: tuple[str, ...] | None = None,
         fine: Resolution = FINE,
         coarse: Resolution = COARSE,
+        measured: Mapping[str, ChannelNoise] | None = None,
     ) -> "TankProblem":
         """Returns the problem of an experiment's `records` for the extended model with `effects`.
 
         `channels` are the fitted channels (default: all). Channels without readings in any trial
-        are left out: the change of a reading that no sensor measured is no evidence.
+        are left out: the change of a reading that no sensor measured is no evidence. The noise is
+        the declared noise, unless `measured` replaces it.
         """
         wanted = tuple(CHANNELS) if channels is None else channels
         channels = tuple(c for c in wanted if any(r.has(c) for r in records))
@@ -234,6 +237,8 @@ class TankProblem(AbstractProblem):
             for channel in channels
             if r.has(channel)
         }
+        if measured:
+            noise = {key: measured[key[1]].of_trial(x) for key, x in noise.items()}
         swing, size = None, experiment.sensors.start_swing
         if size > 0.0:
             swing = Swing(size, base_vector(model_parameters(effects), base_values(experiment)))

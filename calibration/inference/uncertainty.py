@@ -1,16 +1,22 @@
 """Confidence intervals of fitted parameters.
 
-The intervals account for noise, for the model-discretisation discrepancy, and for a difference
-between two estimates of a parameter: with and without the mean forces of the trials.
+The intervals account for noise, for the model-discretisation discrepancy, for correlation that
+remains in the whitened residuals, and for a difference between two estimates of a parameter: with
+and without the mean forces of the trials. Another comparison, of two halves of the trials, finds
+parameters that changed during the experiment.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import norm
 
 from calibration.inference.gauss_newton import Fit, inverse
+from calibration.inference.intervals import correlation_time
 from calibration.inference.problem import AbstractProblem, summed
+from calibration.inference.whiteness import FALSE_ALARM_P, whiteness_tests
 from calibration.model.extended import Parameter
 from slider_jax.channels import BUILT_IN, CHANNELS
 
@@ -90,6 +96,80 @@ def value_by_variation(fit: Fit, index: int) -> float | None:
     place = int(np.flatnonzero(fit.free == index)[0])
     difference = 0.0 if fit.difference is None else float(fit.difference[place])
     return float(fit.theta[index]) + difference if difference else None
+
+
+def widen_by_correlation(problem: AbstractProblem, fit: Fit) -> Fit:
+    """Returns the fit with `correlation`, the factor for correlated whitened residuals.
+
+    If Ljung and Box's test finds a correlation in a series, its effective number of samples is
+    smaller than its number of samples by the factor tau, `correlation_time`. The information A of
+    this series then has a score with the variance tau A. The covariance of all parameters is the
+    sandwich estimate inverse(A) (sum of tau A) inverse(A).
+    """
+    residuals = problem.residuals(fit.predicted, problem.whiteners(fit.predicted))
+    A, times = summed(fit.blocks)[0], _correlation_times(problem, fit, residuals)
+    if not times or not np.isfinite(A).all():
+        return fit
+    middle = np.sum([times.get((x.trial, x.channel), 1.0) * x.A for x in fit.blocks], axis=0)
+    root = inverse(A)
+    ratio = np.diag(root @ middle @ root) / np.maximum(np.diag(root), 1e-300)
+    return fit._replace(correlation=np.sqrt(np.maximum(ratio, 1.0)))
+
+
+def _correlation_times(
+    problem: AbstractProblem, fit: Fit, residuals: dict[tuple[int, str], np.ndarray]
+) -> dict[tuple[int, str], float]:
+    """Returns the factor tau of each series with a significant correlation."""
+    tests = whiteness_tests(problem.records, fit.predicted, residuals)
+    significant = {(x.trial, x.channel) for x in tests if x.correlation_p < FALSE_ALARM_P}
+    return {
+        (i, channel): max(correlation_time(r), 1.0)
+        for (i, channel), r in residuals.items()
+        if (problem.records[i].trial.file, channel) in significant
+    }
+
+
+class Instability(NamedTuple):
+    """A parameter with different values in the first and the second half of the trials."""
+
+    name: str
+    first: float
+    second: float
+    sigma: float
+    """Difference of the two values, divided by its standard error."""
+
+
+def unstable_parameters(fit: Fit, entries: Sequence[Parameter]) -> list[Instability]:
+    """Returns the fitted parameters that differ significantly between two halves of the trials.
+
+    The halves are the first and the last trials of the experiment file. One Gauss-Newton step from
+    the common fit gives the values of each half. The variance of the difference is the sum of the
+    variances of both halves, with the discretisation error of each half. All parameters together
+    have the false-alarm probability `FALSE_ALARM_P` (Bonferroni).
+    """
+    trials = sorted({x.trial for x in fit.blocks})
+    if len(trials) < 2:
+        return []
+    early = set(trials[: len(trials) // 2])
+    halves = [
+        summed([x for x in fit.blocks if (x.trial in early) == first]) for first in (True, False)
+    ]
+    if not all(np.isfinite(A).all() and np.isfinite(b).all() for A, b in halves):
+        return []
+    own = fit.theta[fit.free]
+    values = [own + inverse(A) @ b for A, b in halves]
+    more = np.square(fit.errors) / np.maximum(np.diag(fit.covariance), 1e-300)
+    noise = fit.inflation * more * sum(np.diag(inverse(A)) for A, _ in halves)
+    shares = np.array([discretisation_share(entries[i]) for i in fit.free])
+    error = np.sqrt(noise + 2.0 * (shares * own) ** 2)
+    limit = norm.isf(0.5 * FALSE_ALARM_P / len(own))
+    found = []
+    for place, i in enumerate(fit.free):
+        first, second = (float(x[place]) for x in values)
+        sigma = abs(first - second) / float(error[place])
+        if sigma > limit:
+            found.append(Instability(entries[i].label, first, second, sigma))
+    return found
 
 
 def determined(p: Parameter, low: float, high: float) -> bool:

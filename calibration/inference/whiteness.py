@@ -1,0 +1,147 @@
+"""Tests whether the whitened residual of a trial and channel is white noise.
+
+Two tests complement the mean square: the test of Ljung and Box for any correlation of neighbouring
+readings, and Fisher's test for one sine. A series fails a test only if the deviation is significant
+and also large enough to matter, because thousands of readings make any deviation significant.
+
+Source: Ljung, G. M. and Box, G. E. P. (1978), Biometrika 65, 297-303; Fisher, R. A. (1929), Proc.
+R. Soc. A 125, 54-59.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from calibration.measurements.records import Record
+from slider_jax.channels import row_of
+
+FALSE_ALARM_P = 0.01
+"""Probability that at least one of all series of white noise fails a test (Bonferroni)."""
+MAX_LAGS, LAG_SHARE = 20, 5
+"""The test of Ljung and Box uses this many lags, or the number of readings over `LAG_SHARE`."""
+MIN_CORRELATION = 0.3
+"""Smallest sum of squared autocorrelations that counts. The discrepancy model is not exact: in the
+null data sets of the independent program, the sum reaches 0.22."""
+MIN_LINE = 0.1
+"""Smallest share of one sine in the sum of squares that counts. In the null data sets, significant
+shares reach 0.08. A sine with this share has 0.47 times the amplitude of the white noise."""
+FEWEST = 40
+"""Smallest number of readings that is tested."""
+PADDING = 16
+"""Number of frequencies per resolved frequency at which a sine is located."""
+
+
+class SeriesTest(NamedTuple):
+    """Result of both tests for one trial and channel.
+
+    The p-values are corrected for the number of all tests (Bonferroni).
+    """
+
+    trial: str
+    """Name of the trial's file."""
+    channel: str
+    correlation: float
+    """Sum of the squared autocorrelations in excess of the sum that white noise has."""
+    correlation_p: float
+    line: float
+    """Largest share of one frequency in the sum of squares."""
+    line_p: float
+    frequency_Hz: float
+    """Frequency of the sine that explains most of the whitened residual."""
+    amplitude: float
+    """Amplitude of this sine in the measured minus predicted readings, in the channel's unit."""
+
+    @property
+    def correlated(self) -> bool:
+        """Returns whether the series has a significant and large correlation."""
+        return self.correlation > MIN_CORRELATION and self.correlation_p < FALSE_ALARM_P
+
+    @property
+    def has_line(self) -> bool:
+        """Returns whether the series has a significant and large sine."""
+        return self.line > MIN_LINE and self.line_p < FALSE_ALARM_P
+
+
+def whiteness_tests(
+    records: Sequence[Record],
+    predicted: Sequence[np.ndarray],
+    residuals: Mapping[tuple[int, str], np.ndarray],
+) -> list[SeriesTest]:
+    """Returns the tests of the whitened `residuals` of each trial (index) and channel.
+
+    `predicted` are the readings (channels, samples) of the model. Series with fewer than `FEWEST`
+    readings or readings that are not finite are omitted.
+    """
+    found = []
+    for (i, channel), white in residuals.items():
+        if len(white) < FEWEST or not np.isfinite(white).all():
+            continue
+        there, row = records[i].there(channel), row_of(channel)
+        t, raw = records[i].t[there], (records[i].values[row] - predicted[i][row])[there]
+        place = sample_places(t)
+        correlation, line = ljung_box(white, place), fisher_line(white, place)
+        sine = sine_at_peak(t, raw, white)
+        found.append(SeriesTest(records[i].trial.file, channel, *correlation, *line, *sine))
+    many = 2 * len(found)
+    return [
+        x._replace(correlation_p=min(1.0, many * x.correlation_p), line_p=min(1.0, many * x.line_p))
+        for x in found
+    ]
+
+
+def sample_places(t: np.ndarray) -> np.ndarray:
+    """Returns the numbers (n,) of the samples at the times t (n,) in an evenly spaced series."""
+    return np.round((t - t[0]) / np.median(np.diff(t))).astype(int)
+
+
+def _even(x: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Returns the series x (n,) minus its mean, with zeros for missing samples."""
+    even = np.zeros(place[-1] + 1)
+    even[place] = x - x.mean()
+    return even
+
+
+def ljung_box(x: np.ndarray, place: np.ndarray) -> tuple[float, float]:
+    """Returns the size and the p-value of the correlation in a series x (n,).
+
+    `place` (n,) are the sample numbers; missing numbers are gaps. The size is the sum of the
+    squared autocorrelations, minus its expectation for white noise.
+    """
+    n, lags = len(x), min(MAX_LAGS, len(x) // LAG_SHARE)
+    y, there = _even(x, place), np.zeros(place[-1] + 1)
+    there[place] = 1.0
+    rho = np.array([y[k:] @ y[:-k] for k in range(1, lags + 1)]) / max(float(y @ y), 1e-300)
+    pairs = np.maximum([there[k:] @ there[:-k] for k in range(1, lags + 1)], 1.0)
+    Q = n * (n + 2.0) * float(np.sum(rho**2 / pairs))
+    return (Q - lags) / n, float(chi2.sf(Q, lags))
+
+
+def fisher_line(x: np.ndarray, place: np.ndarray) -> tuple[float, float]:
+    """Returns the largest share g of one frequency in a series x (n,), and its p-value.
+
+    The frequencies are the Fourier frequencies and the middle between each two of them, because the
+    share of a sine between two Fourier frequencies is smaller by up to 60 %. The p-value is the
+    first term of Fisher's sum, which is an upper bound, times 2 for the additional frequencies.
+    """
+    even = _even(x, place)
+    count = (len(even) - 1) // 2
+    power = np.abs(np.fft.rfft(even, 2 * len(even))[1 : 2 * count + 1]) ** 2
+    g = min(float(power.max() / max(float(power[1::2].sum()), 1e-300)), 1.0)
+    return g, min(1.0, 2.0 * count * (1.0 - g) ** (count - 1))
+
+
+def sine_at_peak(t: np.ndarray, raw: np.ndarray, white: np.ndarray) -> tuple[float, float]:
+    """Returns frequency [Hz] and amplitude of the sine with most power in the residual `white`.
+
+    The amplitude is that of the least-squares sine in the series `raw` (n,), besides a constant.
+    """
+    even = _even(white, sample_places(t))
+    power = np.abs(np.fft.rfft(even, PADDING * len(even))) ** 2
+    hertz = np.fft.rfftfreq(PADDING * len(even), float(np.median(np.diff(t))))
+    frequency = float(hertz[np.argmax(power)])
+    turn = 2.0 * np.pi * frequency * t
+    columns = np.stack([np.cos(turn), np.sin(turn), np.ones_like(t)], axis=1)
+    cosine, sine, _ = np.linalg.lstsq(columns, raw, rcond=None)[0]
+    return frequency, float(np.hypot(cosine, sine))
