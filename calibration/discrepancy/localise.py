@@ -20,17 +20,20 @@ def locate_residuals(
     left: dict[str, Excess],
     noise_floor: float,
 ) -> list[dict[str, Any]]:
-    """Returns a record for each channel with a residual above the noise floor.
+    """Returns a record for each channel with a residual above the noise floor or with a pattern.
 
     `predicted` are the readings (channels, samples) of every trial of `records`. `left` contains
-    the mean squares of the whitened residual of every channel.
+    the mean squares of the whitened residual of every channel. For a residual with a pattern at the
+    noise floor, the worst trial is the first trial with a pattern.
     """
     found = []
     for channel, x in left.items():
-        if x.all <= noise_floor:
+        if not x.above(noise_floor):
             continue
         row, worst = row_of(channel), int(np.nanargmax(x.trials))
         trials = [r.trial for r in records]
+        if x.all <= noise_floor:
+            worst = [t.file for t in trials].index(x.patterns[0].trial)
         found.append(
             {
                 "channel": channel,

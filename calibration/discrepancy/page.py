@@ -6,7 +6,14 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.localise import residual_text
-from calibration.discrepancy.report import effect_sentences, residual_sentence, veto_sentences
+from calibration.discrepancy.report import (
+    effect_sentences,
+    instability_sentences,
+    noise_sentences,
+    pattern_text,
+    residual_sentence,
+    veto_sentences,
+)
 from calibration.discrepancy.verdict import BEYOND_PRIOR, CLASS, IDENTIFIED, PROVISIONAL
 from calibration.reporting.html import embedded_png, render_page
 from calibration.reporting.parameters import widened
@@ -47,7 +54,14 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
         errors=_errors(record["errors"]),
         held_out=_errors(record["held_out"]),
         floor_ratio=np.sqrt(settings.noise_floor),
-        above=[c for c, x in record["left_over_noise"].items() if x**2 > settings.noise_floor],
+        above=[c for c, x in outcome.excess.items() if x.all > settings.noise_floor],
+        patterns=[
+            f"{c}: {pattern_text(p)}." for c, x in outcome.excess.items() for p in x.patterns
+        ],
+        whiteness=_whiteness(record["whiteness"]["channels"]),
+        noise=_noise(outcome),
+        noise_lines=noise_sentences(outcome),
+        instability_lines=instability_sentences(outcome),
         readings_png=embedded_png(readings_figure(outcome)),
         scores_png=embedded_png(score_figure(record)),
         parameter_head=head,
@@ -79,6 +93,30 @@ def _errors(errors: dict[str, dict[str, float]]) -> list[list[str]]:
     for channel, row in errors.items():
         factor, unit = CHANNELS[channel].plot_factor, CHANNELS[channel].plot_unit
         rows.append([f"{channel} ({unit})", *(f"{factor * x:.3g}" for x in row.values())])
+    return rows
+
+
+def _whiteness(channels: dict[str, Any]) -> list[list[str]]:
+    """Returns a row for every channel with the worst results of both tests of whiteness."""
+    return [
+        [
+            channel, f"{x['correlation']['correlation']:.2g}",
+            f"{x['correlation']['correlation_p']:.1g}", x["correlation"]["trial"],
+            f"{100.0 * x['line']['line']:.2g} %", f"{x['line']['line_p']:.1g}",
+            f"{x['line']['frequency_Hz']:.3g} Hz", x["line"]["trial"],
+        ]
+        for channel, x in channels.items()
+    ]  # fmt: skip
+
+
+def _noise(outcome: LoopOutcome) -> list[list[str]]:
+    """Returns a row for every channel with its declared, measured and used white noise."""
+    rows = []
+    for channel, x in outcome.noise.items():
+        factor, unit = CHANNELS[channel].plot_factor, CHANNELS[channel].plot_unit
+        sizes = ["" if y is None else f"{factor * y:.3g}" for y in (x.declared, x.measured, x.used)]
+        tails = "normal" if x.freedom is None else f"{x.freedom:.2g} degrees of freedom"
+        rows.append([f"{channel} ({unit})", *sizes, x.method, tails])
     return rows
 
 

@@ -16,6 +16,7 @@ from calibration.discrepancy.verdict import (
     EffectStatus,
     channels_above_floor,
 )
+from calibration.inference.whiteness import SeriesTest
 from calibration.model.extended import base_values
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
 from slider_jax.channels import CHANNELS
@@ -45,6 +46,9 @@ def loop_record(
             for i, p in enumerate(outcome.entries)
             if not p.effect and i in outcome.final.free
         },
+        "instability": [x._asdict() for x in outcome.unstable],
+        "noise": {c: x._asdict() for c, x in outcome.noise.items()},
+        "whiteness": whiteness_record(outcome),
         "errors": outcome.used,
         "held_out": outcome.held_out,
         "held_out_trials": [trials[i].trial.file for i in outcome.held],
@@ -177,6 +181,8 @@ def verdict_sentences(outcome: LoopOutcome) -> list[str]:
         *effect_sentences(outcome),
         *veto_sentences(outcome),
         residual_sentence(outcome),
+        *instability_sentences(outcome),
+        *noise_sentences(outcome),
     ]
 
 
@@ -255,12 +261,78 @@ def residual_sentence(outcome: LoopOutcome) -> str:
     if not above:
         return "The residual is at the noise floor."
     fitted = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
-    parts = [
-        f"{c} (mean square {outcome.excess[c].all:.3g} times that of the noise, largest in "
-        f"{fitted[int(np.nanargmax(outcome.excess[c].trials))].trial.file})"
-        for c in above
-    ]
+    parts = []
+    for c in above:
+        x, text = outcome.excess[c], []
+        if x.all > outcome.search.settings.noise_floor:
+            worst = fitted[int(np.nanargmax(x.trials))].trial.file
+            text.append(f"mean square {x.all:.3g} times that of the noise, largest in {worst}")
+        if x.patterns:
+            text.append(pattern_text(max(x.patterns, key=lambda p: p.line)))
+        parts.append(f"{c} ({'; '.join(text)})")
     return f"The residual is above the noise floor in {', '.join(parts)}."
+
+
+def pattern_text(x: SeriesTest) -> str:
+    """Returns what a test of whiteness found in a trial: a sine, or correlated readings."""
+    if not x.has_line:
+        return (
+            f"{x.trial} has a correlated residual, with a sum of squared autocorrelations of "
+            f"{x.correlation:.2g}"
+        )
+    factor, unit = CHANNELS[x.channel].plot_factor, CHANNELS[x.channel].plot_unit
+    return (
+        f"{x.trial} has a sine of {x.frequency_Hz:.3g} Hz with an amplitude of "
+        f"{factor * x.amplitude:.3g} {unit}"
+    )
+
+
+def whiteness_record(outcome: LoopOutcome) -> dict[str, Any]:
+    """Returns the tests of whiteness: the worst trial of each channel, and all failed tests."""
+    tested = {c: x.series for c, x in outcome.excess.items() if x.series}
+    return {
+        "series": sum(len(x) for x in tested.values()),
+        "channels": {
+            c: {
+                "correlation": max(x, key=lambda s: s.correlation)._asdict(),
+                "line": max(x, key=lambda s: s.line)._asdict(),
+            }
+            for c, x in tested.items()
+        },
+        "patterns": [
+            p._asdict() | {"has_line": p.has_line, "correlated": p.correlated}
+            for x in outcome.excess.values()
+            for p in x.patterns
+        ],
+    }
+
+
+def instability_sentences(outcome: LoopOutcome) -> list[str]:
+    """Returns a sentence on each parameter that differs between two halves of the trials."""
+    return [
+        f"{x.name} is {x.first:.4g} in the first half of the trials and {x.second:.4g} in the "
+        f"second half. The difference is {x.sigma:.2g} standard errors."
+        for x in outcome.unstable
+    ]
+
+
+def noise_sentences(outcome: LoopOutcome) -> list[str]:
+    """Returns a sentence on each channel whose noise differs from the declared noise."""
+    text = []
+    for c, x in outcome.noise.items():
+        factor, unit = CHANNELS[c].plot_factor, CHANNELS[c].plot_unit
+        if x.replaced and x.declared is not None and x.measured is not None:
+            text.append(
+                f"The declared white noise of {c} is {factor * x.declared:.3g} {unit}, but the "
+                f"measured white noise is {factor * x.measured:.3g} {unit}. The loop uses "
+                f"{factor * x.used:.3g} {unit}."
+            )
+        if x.freedom is not None:
+            text.append(
+                f"The noise of {c} has heavy tails (Student's t-distribution with {x.freedom:.2g} "
+                "degrees of freedom), so large errors have a smaller weight in the fit."
+            )
+    return text
 
 
 def parameter_lines(record: dict[str, Any]) -> list[str]:

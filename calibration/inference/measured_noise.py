@@ -32,10 +32,13 @@ CLIPPED = 1.0 - 2.0 * CLIP * norm.pdf(CLIP) / (norm.cdf(CLIP) - norm.cdf(-CLIP))
 THINNING = 3
 """A noise below the declared noise must also appear in every third reading. A sensor with a
 low-pass filter has little noise in successive differences, although it has the declared noise."""
+LEAST_SHARE = 0.5
+"""Smallest noise that is used, divided by the model-discretisation discrepancy. The model of the
+discrepancy is not exact enough for a smaller noise, as in simulated readings without noise."""
 FEWEST = 30
 """Smallest number of differences from which the noise of a trial is measured."""
-DECLARED, HIGH_BAND, STRIDES = "declared", "successive differences", "differences between strides"
-THINNED = f"differences of every {THINNING}rd reading"
+HIGH_BAND, STRIDES = "successive differences", "differences between strides"
+NOT_MEASURED, THINNED = "not measured", "differences of every third reading"
 
 
 class ChannelNoise(NamedTuple):
@@ -94,20 +97,28 @@ def _channel_noise(sensors: SensorsTable, channel: str, records: list[Record]) -
     estimates = [(x / math.sqrt(2.0) if n == STRIDES else x, n) for x, n in estimates]
     measured, method = min(estimates)
     if not np.isfinite(measured):
-        return ChannelNoise(declared, None, expected, DECLARED)
+        return ChannelNoise(declared, None, expected, NOT_MEASURED)
     if declared is None:
         return ChannelNoise(None, measured, expected, method)
     if measured * TOLERANCE < declared:
         thinned = _pooled([(x[::THINNING], ORDERS[0]) for x in series])
+        if thinned * TOLERANCE > declared:
+            return ChannelNoise(declared, measured, declared, method)
         if thinned > measured:
-            measured, method = min(thinned, declared), THINNED
+            measured, method = thinned, THINNED
     if declared / TOLERANCE <= measured <= declared * TOLERANCE:
         return ChannelNoise(declared, measured, declared, method)
-    steps = (
-        [quantisation_step(x) for x in series] if CHANNELS[channel].kind == "pressure" else [0.0]
-    )
-    least = max(float(np.median(steps)) / math.sqrt(12.0), 1e-3 * declared)
+    least = min(declared, _least_noise(channel, series))
     return ChannelNoise(declared, measured, max(measured, least), method)
+
+
+def _least_noise(channel: str, series: list[np.ndarray]) -> float:
+    """Returns the smallest noise of a channel that the loop uses."""
+    size = float(np.median([np.std(x) for x in series]))
+    limits = [LEAST_SHARE * CHANNELS[channel].discrepancy * size]
+    if CHANNELS[channel].kind == "pressure":
+        limits.append(float(np.median([quantisation_step(x) for x in series])) / math.sqrt(12.0))
+    return max(limits)
 
 
 def _stride(record: Record, channel: str) -> int:

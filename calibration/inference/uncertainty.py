@@ -129,6 +129,11 @@ def _correlation_times(
     }
 
 
+def correlation_factor(fit: Fit, index: int) -> float:
+    """Returns the factor of `widen_by_correlation` for the entry `index`."""
+    return float(np.broadcast_to(fit.correlation, fit.free.shape)[fit.free == index][0])
+
+
 class Instability(NamedTuple):
     """A parameter with different values in the first and the second half of the trials."""
 

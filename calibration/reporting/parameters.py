@@ -6,7 +6,12 @@ from typing import Any
 import numpy as np
 
 from calibration.inference.gauss_newton import Fit
-from calibration.inference.uncertainty import confidence_interval, determined, value_by_variation
+from calibration.inference.uncertainty import (
+    confidence_interval,
+    correlation_factor,
+    determined,
+    value_by_variation,
+)
 from calibration.model.extended import Parameter
 from slider_jax.io.toml import significant
 
@@ -22,8 +27,9 @@ def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict
     if not determined(p, low, high):
         low, high = (float(np.clip(x, p.prior.low, p.prior.high)) for x in (low, high))
         record |= {"value": None, "low": low, "high": high, "not_determined_by_these_data": True}
-    alone = value_by_variation(fit, index)
-    return record | ({} if alone is None else {"by_variation_alone": alone})
+    alone, factor = value_by_variation(fit, index), correlation_factor(fit, index)
+    record |= {} if alone is None else {"by_variation_alone": alone}
+    return record | ({"widened_by_correlation": factor} if factor > 1.0 else {})
 
 
 def parameter_text(x: dict[str, Any]) -> str:

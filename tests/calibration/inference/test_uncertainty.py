@@ -1,4 +1,4 @@
-"""Hausman's test: the forces' means against their variation."""
+"""Hausman's test, intervals for correlated residuals, and parameters that change between trials."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,12 @@ import pytest
 from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.noise import Noise
 from calibration.inference.problem import AbstractProblem
-from calibration.inference.uncertainty import confidence_interval, hausman_check
+from calibration.inference.uncertainty import (
+    confidence_interval,
+    hausman_check,
+    unstable_parameters,
+    widen_by_correlation,
+)
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter
 from calibration.reporting.parameters import parameter_record, parameter_text
@@ -43,20 +48,36 @@ class Drag(AbstractProblem):
         return None
 
 
-def fitted(seed: int, varying: float):
-    """Returns the tested fit to data with a = 1 in the mean and a = `varying` in the variation."""
+def fitted(seed: int, varying: float = 1.0, late: float = 1.0, rho: float = 0.0, tare=TARE):
+    """Returns the tested fit to data with a = 1 in the mean and a = `varying` in the variation.
+
+    In the second half of the trials, the force is multiplied by `late`. The noise of neighbouring
+    samples has the correlation `rho`.
+    """
     rng = np.random.default_rng(seed)
     trial = Trial.model_validate(
         {"file": "a.csv", "frequency": 1.0, "amplitude": 1e5, "duration": 2.0}
     )
     shown = np.array([False, False, True, False, False])[:, None]
     found = []
-    for _ in range(TRIALS):
-        noise = rng.normal(0.0, TARE) + rng.normal(0.0, 0.05, len(T))
-        found.append(Record(trial, T, np.where(shown, force(1.0, varying) + noise, np.nan)))
-    noise = {(i, "thrust"): Noise(0.05, tare=TARE) for i in range(TRIALS)}
+    for number in range(TRIALS):
+        noise = rng.normal(0.0, tare) + correlated(rng, rho)
+        size = late if 2 * number >= TRIALS else 1.0
+        own = trial.model_copy(update={"file": f"{number}.csv"})
+        values = np.where(shown, size * force(1.0, varying) + noise, np.nan)
+        found.append(Record(own, T, values))
+    noise = {(i, "thrust"): Noise(0.05, tare=tare) for i in range(TRIALS)}
     problem = Drag(records=found, channels=("thrust",), noise=noise)
-    return hausman_check(problem, fit_gauss_newton(problem, ENTRIES, np.array([1.0]), np.arange(1)))
+    fit = fit_gauss_newton(problem, ENTRIES, np.array([1.0]), np.arange(1))
+    return widen_by_correlation(problem, hausman_check(problem, fit))
+
+
+def correlated(rng, rho):
+    """Returns noise (n,) with a standard deviation of 0.05 and the correlation rho^k at lag k."""
+    noise = rng.normal(0.0, 0.05, len(T))
+    for i in range(1, len(T) if rho else 0):
+        noise[i] = rho * noise[i - 1] + np.sqrt(1.0 - rho**2) * noise[i]
+    return noise
 
 
 def test_consistent_data_do_not_widen_the_interval():
@@ -78,3 +99,26 @@ def test_a_disagreement_is_recorded_and_widens_the_interval(varying):
     assert "without the mean forces" in parameter_text(record)
     assert "forces" not in parameter_text(parameter_record(narrow, ENTRIES, 0))
     assert high - low > 2.0 * np.diff(confidence_interval(narrow, ENTRIES, 0)[1:])[0]
+
+
+def test_a_parameter_that_changes_between_the_halves_is_unstable():
+    """A change of 0.3 is 7 standard errors, with the discretisation error of each half."""
+    calm = [unstable_parameters(fitted(seed), ENTRIES) for seed in range(8)]
+    assert calm == [[]] * 8
+    (found,) = unstable_parameters(fitted(0, late=1.3), ENTRIES)
+    assert found.name == "drag.a" and found.sigma > 3.0
+    assert found.first == pytest.approx(1.0, abs=0.08)
+    assert found.second == pytest.approx(1.3, abs=0.08)
+
+
+def test_correlated_noise_widens_the_interval_by_its_correlation_time():
+    """Noise with the correlation rho^k has an effective number of samples n (1 - rho)/(1 + rho)."""
+    white = [fitted(seed) for seed in range(5)]
+    assert all(np.all(f.correlation == 1.0) for f in white)
+    found = [fitted(seed, rho=0.6) for seed in range(5)]
+    assert np.median([f.correlation[0] for f in found]) == pytest.approx(2.0, rel=0.2)
+    for f in found:
+        error = np.maximum(f.correlation, f.widening) * np.sqrt(np.diag(f.covariance))
+        np.testing.assert_allclose(f.errors, error)
+        assert parameter_record(f, ENTRIES, 0)["widened_by_correlation"] == f.correlation[0]
+    assert "widened_by_correlation" not in parameter_record(white[0], ENTRIES, 0)

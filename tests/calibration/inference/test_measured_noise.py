@@ -1,0 +1,112 @@
+"""Noise measured from the differences of readings, against the noise in simulated series."""
+
+import numpy as np
+import pytest
+
+from calibration.inference.measured_noise import (
+    HIGH_BAND,
+    NOT_MEASURED,
+    STRIDES,
+    THINNED,
+    measured_noises,
+    robust_noise_floor,
+)
+from calibration.inference.noise import Noise
+from calibration.measurements.records import Record
+from slider_jax.channels import CHANNELS, row_of
+from slider_jax.experiment.schema import SensorsTable, Trial
+
+SENSORS = SensorsTable(
+    pressure_noise=700.0, force_noise=0.02, force_slow_noise=0.01, force_slow_time=0.1
+)
+RATE, SECONDS = 500.0, 2.5
+
+
+def square_response(t, f):
+    """Returns a first-order lag of 0.08 s behind a square wave of 250 kPa, with its kinks."""
+    p, found = 0.0, []
+    for x in t:
+        p += (2.5e5 * np.sign(np.sin(2.0 * np.pi * f * x + 1e-9)) - p) / (0.08 * RATE)
+        found.append(p)
+    return np.array(found)
+
+
+def slow_noise(n, rng):
+    keep, x, found = np.exp(-1.0 / (RATE * 0.1)), rng.normal(), []
+    for fresh in rng.normal(size=n):
+        x = keep * x + np.sqrt(1.0 - keep**2) * fresh
+        found.append(x)
+    return 0.01 * np.array(found)
+
+
+def records(pressure=700.0, force=0.02, step=0.0, seed=0, filtered=0):
+    """Returns trials of 0.6 to 6 Hz with readings of the front pressure and the recoil."""
+    rng, t, found = np.random.default_rng(seed), np.arange(RATE * SECONDS) / RATE, []
+    for f in np.geomspace(0.6, 6.0, 8):
+        trial = Trial(file="a.csv", frequency=float(f), amplitude=2.5e5, duration=SECONDS)
+        values = np.full((len(CHANNELS), len(t)), np.nan)
+        p = square_response(t, f) + pressure * rng.normal(size=len(t))
+        values[row_of("p_front")] = step * np.round(p / step) if step else p
+        recoil = 1.5 * np.sin(2.0 * np.pi * f * t) + 0.3 * np.sin(6.0 * np.pi * f * t)
+        white = rng.normal(size=len(t) + 2 * filtered)
+        if filtered:
+            window = np.ones(2 * filtered + 1) / np.sqrt(2.0 * filtered + 1.0)
+            white = np.convolve(white, window, "valid")
+        values[row_of("recoil")] = recoil + slow_noise(len(t), rng) + force * white
+        found.append(Record(trial, t, values))
+    return found
+
+
+def test_the_right_declared_noise_is_measured_within_a_tenth_and_kept():
+    for seed in range(3):
+        for name, x in measured_noises(SENSORS, records(seed=seed)).items():
+            assert x.measured == pytest.approx(x.declared, rel=0.1), name
+            assert x.used == x.declared and not x.replaced
+            noise = Noise(x.declared, tare=1.0)
+            assert x.of_trial(noise) is noise
+
+
+@pytest.mark.parametrize("ratio", [0.6, 1.4, 2.0])
+def test_a_wrong_declared_noise_is_replaced(ratio):
+    found = measured_noises(SENSORS, records(700.0 * ratio, 0.02 * ratio))
+    assert found["p_front"].used == pytest.approx(700.0 * ratio, rel=0.1)
+    assert found["recoil"].used == pytest.approx(0.02 * ratio, rel=0.1)
+    for x in found.values():
+        assert x.replaced and x.method in (HIGH_BAND, STRIDES, THINNED)
+        assert x.of_trial(Noise(x.declared, tare=1.0)) == Noise(x.used, tare=1.0)
+
+
+def test_the_measured_noise_contains_the_quantisation_and_is_not_below_it():
+    x = measured_noises(SENSORS, records(step=933.0))["p_front"]
+    assert x.declared == pytest.approx(np.hypot(700.0, 933.0 / np.sqrt(12.0)))
+    assert x.measured == pytest.approx(x.declared, rel=0.1) and not x.replaced
+    coarse = measured_noises(SENSORS, records(pressure=1.0, step=2000.0))["p_front"]
+    assert coarse.used >= 2000.0 / np.sqrt(12.0)
+
+
+def test_readings_without_noise_keep_half_of_the_discrepancy_as_noise():
+    x = measured_noises(SENSORS, records(force=0.0))["recoil"]
+    size = np.std([r.values[row_of("recoil")] for r in records(force=0.0)])
+    assert x.replaced
+    assert x.used == pytest.approx(0.5 * CHANNELS["recoil"].discrepancy * size, rel=0.1)
+
+
+def test_a_filtered_sensor_keeps_its_declared_noise():
+    """Successive readings of a sensor with a low-pass filter have similar errors."""
+    x = measured_noises(SENSORS, records(filtered=1))["recoil"]
+    assert x.measured < 0.75 * x.declared and not x.replaced
+
+
+def test_a_channel_without_declared_noise_or_with_few_readings_is_not_replaced():
+    undeclared = measured_noises(SensorsTable(), records())["p_front"]
+    assert undeclared.declared is None and not undeclared.replaced
+    assert undeclared.measured == pytest.approx(700.0, rel=0.1)
+    short = [Record(r.trial, r.t[:25], r.values[:, :25]) for r in records()]
+    x = measured_noises(SENSORS, short)["p_front"]
+    assert (x.measured, x.method, x.replaced) == (None, NOT_MEASURED, False)
+
+
+def test_outliers_do_not_change_the_noise_floor():
+    x = np.random.default_rng(1).normal(size=4000)
+    x[::200] += 50.0
+    assert robust_noise_floor(x, 4) == pytest.approx(1.0, abs=0.1)
