@@ -15,7 +15,7 @@ from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.discrepancy.verdict import EffectStatus, judge_effects, reach_verdict
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.goodness import Excess, channel_errors, excess
+from calibration.inference.goodness import Excess, channel_errors, excess, whitened_residuals
 from calibration.inference.measured_noise import ChannelNoise, measured_noises
 from calibration.inference.noise import Noise
 from calibration.inference.problem import AbstractProblem, TankProblem, total
@@ -169,7 +169,8 @@ def close_loop_on_trials(
         )
 
     outcome = outcome_of(audited.records)
-    each = excess(outcome.problem, outcome.final)
+    residuals = whitened_residuals(outcome.problem, outcome.final)
+    each = excess(outcome.problem, outcome.final, residuals)
     trials = [r.trial for r in outcome.problem.records]
     outlying = residual_outliers(trials, {c: x.trials for c, x in each.items()})
     named = {x.trial for x in outlying}
@@ -178,29 +179,31 @@ def close_loop_on_trials(
         for finding in outlying:
             progress(str(finding))
         outcome = outcome_of(rest)
-    tails = heavy_tails(final_residuals(outcome))
+        residuals = whitened_residuals(outcome.problem, outcome.final)
+    tails = heavy_tails(residuals)
     if tails:
         progress(f"running again: the noise of {', '.join(tails)} has heavy tails")
-        weighed |= robust_noise(outcome, tails)
+        weighed |= robust_noise(outcome.problem, residuals, tails)
         noise |= {c: noise[c]._replace(freedom=x.freedom) for c, x in tails.items()}
         outcome = outcome_of(outcome.problem.records)
     return replace(outcome, audit=[*audited.findings, *outlying], noise=noise)
 
 
-def final_residuals(outcome: LoopOutcome) -> dict[tuple[int, str], np.ndarray]:
-    """Returns the whitened residual (n,) of the final fit for each trial (index) and channel."""
-    predicted = outcome.final.predicted
-    return outcome.problem.residuals(predicted, outcome.problem.whiteners(predicted))
+def robust_noise(
+    problem: AbstractProblem,
+    residuals: Mapping[tuple[int, str], np.ndarray],
+    tails: Mapping[str, Tails],
+) -> dict[tuple[str, str], Noise]:
+    """Returns the noise of each trial's file and channel in `tails`, with one value per reading.
 
-
-def robust_noise(outcome: LoopOutcome, tails: Mapping[str, Tails]) -> dict[tuple[str, str], Noise]:
-    """Returns the noise of each trial's file and channel in `tails`, with one value per reading."""
+    `residuals` are the whitened residuals of the fit whose large errors have a smaller weight.
+    """
     found = {}
-    for (i, channel), r in final_residuals(outcome).items():
+    for (i, channel), r in residuals.items():
         if channel in tails:
-            noise = outcome.problem.noise[i, channel]
+            noise = problem.noise[i, channel]
             white = noise.white * np.sqrt(tails[channel].variances(r))
-            found[outcome.problem.records[i].trial.file, channel] = noise._replace(white=white)
+            found[problem.records[i].trial.file, channel] = noise._replace(white=white)
     return found
 
 

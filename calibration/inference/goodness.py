@@ -30,13 +30,19 @@ class Excess(NamedTuple):
         return self.all > noise_floor or bool(self.patterns)
 
 
-def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
+def whitened_residuals(problem: AbstractProblem, fit: Fit) -> dict[tuple[int, str], np.ndarray]:
+    """Returns the whitened residual (n,) of a fit for each trial (index) and channel."""
+    return problem.residuals(fit.predicted, problem.whiteners(fit.predicted))
+
+
+def excess(
+    problem: AbstractProblem, fit: Fit, residuals: dict[tuple[int, str], np.ndarray] | None = None
+) -> dict[str, Excess]:
     """Returns the mean squares and the whiteness of each channel's whitened residuals.
 
-    Noise alone would give a mean square of 1.
+    Noise alone would give a mean square of 1. `residuals` are the `whitened_residuals`, if known.
     """
-    white = problem.whiteners(fit.predicted)
-    residuals = problem.residuals(fit.predicted, white)
+    residuals = whitened_residuals(problem, fit) if residuals is None else residuals
     tests = whiteness_tests(problem.records, fit.predicted, residuals)
     found = {}
     for channel in problem.channels:

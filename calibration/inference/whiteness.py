@@ -135,12 +135,16 @@ def fisher_line(x: np.ndarray, place: np.ndarray) -> tuple[float, float]:
 def sine_at_peak(t: np.ndarray, raw: np.ndarray, white: np.ndarray) -> tuple[float, float]:
     """Returns frequency [Hz] and amplitude of the sine with most power in the residual `white`.
 
-    The amplitude is that of the least-squares sine in the series `raw` (n,), besides a constant.
+    Whitening shifts a peak away from the harmonics of the drive. The frequency is therefore that of
+    the largest power in the series `raw` (n,), within half a Fourier interval of the peak. The
+    amplitude is that of the least-squares sine in `raw`, besides a constant.
     """
-    even = _even(white, sample_places(t))
-    power = np.abs(np.fft.rfft(even, PADDING * len(even))) ** 2
-    hertz = np.fft.rfftfreq(PADDING * len(even), float(np.median(np.diff(t))))
-    frequency = float(hertz[np.argmax(power)])
+    place = sample_places(t)
+    count = PADDING * (place[-1] + 1)
+    hertz = np.fft.rfftfreq(count, float(np.median(np.diff(t))))
+    whitened, power = (np.abs(np.fft.rfft(_even(x, place), count)) ** 2 for x in (white, raw))
+    near = np.abs(np.arange(len(hertz)) - np.argmax(whitened)) <= PADDING // 2
+    frequency = float(hertz[np.argmax(np.where(near, power, 0.0))])
     turn = 2.0 * np.pi * frequency * t
     columns = np.stack([np.cos(turn), np.sin(turn), np.ones_like(t)], axis=1)
     cosine, sine, _ = np.linalg.lstsq(columns, raw, rcond=None)[0]

@@ -103,8 +103,8 @@ def test_a_disagreement_is_recorded_and_widens_the_interval(varying):
 
 def test_a_parameter_that_changes_between_the_halves_is_unstable():
     """A change of 0.3 is 7 standard errors, with the discretisation error of each half."""
-    calm = [unstable_parameters(fitted(seed), ENTRIES) for seed in range(8)]
-    assert calm == [[]] * 8
+    calm = [unstable_parameters(fitted(seed), ENTRIES) for seed in range(4)]
+    assert calm == [[]] * 4
     (found,) = unstable_parameters(fitted(0, late=1.3), ENTRIES)
     assert found.name == "drag.a" and found.sigma > 3.0
     assert found.first == pytest.approx(1.0, abs=0.08)
@@ -113,9 +113,9 @@ def test_a_parameter_that_changes_between_the_halves_is_unstable():
 
 def test_correlated_noise_widens_the_interval_by_its_correlation_time():
     """Noise with the correlation rho^k has an effective number of samples n (1 - rho)/(1 + rho)."""
-    white = [fitted(seed) for seed in range(5)]
+    white = [fitted(seed) for seed in range(3)]
     assert all(np.all(f.correlation == 1.0) for f in white)
-    found = [fitted(seed, rho=0.6) for seed in range(5)]
+    found = [fitted(seed, rho=0.6) for seed in range(3)]
     assert np.median([f.correlation[0] for f in found]) == pytest.approx(2.0, rel=0.2)
     for f in found:
         error = np.maximum(f.correlation, f.widening) * np.sqrt(np.diag(f.covariance))
