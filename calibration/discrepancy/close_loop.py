@@ -15,7 +15,13 @@ from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.discrepancy.verdict import EffectStatus, judge_effects, reach_verdict
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.goodness import Excess, channel_errors, excess, whitened_residuals
+from calibration.inference.goodness import (
+    Excess,
+    channel_errors,
+    excess,
+    tested_excess,
+    whitened_residuals,
+)
 from calibration.inference.measured_noise import ChannelNoise, measured_noises
 from calibration.inference.noise import Noise
 from calibration.inference.problem import AbstractProblem, TankProblem, total
@@ -301,7 +307,7 @@ def conclude(
 
     final = widen_ranges(result, refit(result.final, result.entries), refit)
     final = widen_by_correlation(all_trials, hausman_check(all_trials, final))
-    after = excess(problem, result.final)
+    after = tested_excess(problem, result.final)
     verdict = reach_verdict(result, judge_effects(result, final.theta, after), after)
     return LoopOutcome(
         experiment,

@@ -54,7 +54,7 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
         errors=_errors(record["errors"]),
         held_out=_errors(record["held_out"]),
         floor_ratio=np.sqrt(settings.noise_floor),
-        above=[c for c, x in outcome.excess.items() if x.all > settings.noise_floor],
+        above=[c for c, x in record["left_over_noise"].items() if x**2 > settings.noise_floor],
         patterns=[
             f"{c}: {pattern_text(p)}." for c, x in outcome.excess.items() for p in x.patterns
         ],

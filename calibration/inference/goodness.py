@@ -38,12 +38,11 @@ def whitened_residuals(problem: AbstractProblem, fit: Fit) -> dict[tuple[int, st
 def excess(
     problem: AbstractProblem, fit: Fit, residuals: dict[tuple[int, str], np.ndarray] | None = None
 ) -> dict[str, Excess]:
-    """Returns the mean squares and the whiteness of each channel's whitened residuals.
+    """Returns the mean squares of each channel's whitened residuals. Noise alone would give 1.
 
-    Noise alone would give a mean square of 1. `residuals` are the `whitened_residuals`, if known.
+    `residuals` are the `whitened_residuals` of the fit, if they are known.
     """
     residuals = whitened_residuals(problem, fit) if residuals is None else residuals
-    tests = whiteness_tests(problem.records, fit.predicted, residuals)
     found = {}
     for channel in problem.channels:
         each = {i: r for (i, name), r in residuals.items() if name == channel}
@@ -51,10 +50,18 @@ def excess(
             squares = np.full(len(problem.records), np.nan)
             for i, r in each.items():
                 squares[i] = np.mean(r**2)
-            square = float(np.mean(np.concatenate([*each.values()]) ** 2))
-            own = tuple(x for x in tests if x.channel == channel)
-            found[channel] = Excess(squares, square, own)
+            found[channel] = Excess(squares, float(np.mean(np.concatenate([*each.values()]) ** 2)))
     return found
+
+
+def tested_excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
+    """Returns `excess` with the tests of whiteness."""
+    residuals = whitened_residuals(problem, fit)
+    tests = whiteness_tests(problem.records, fit.predicted, residuals)
+    return {
+        c: x._replace(series=tuple(s for s in tests if s.channel == c))
+        for c, x in excess(problem, fit, residuals).items()
+    }
 
 
 def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
