@@ -20,7 +20,7 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from slider_jax.io.files import LOADED_FILES
 from tests.support.damage import RUNS as DAMAGE_RUNS, write_experiment
-from tests.support.small_tank import BASE, CANDIDATES, MESH, RUNS, TANK, close_small_tank
+from tests.support.small_tank import BASE, CANDIDATES, MESH, NULLS, RUNS, TANK, close_small_tank
 
 pytestmark = pytest.mark.optimised
 
@@ -117,6 +117,34 @@ def test_a_residual_that_no_candidate_explains_is_unexplained(tmp_path):
     assert record["effects"] == [] and "[[effects]]" not in loop_model_toml(outcome)
     assert record["residual"]["status"] == "above_floor" and record["unexplained"]
     assert all(x["after"] == x["before"] for x in outcome.used.values())
+
+
+@pytest.mark.slow
+def test_wrong_declared_noise_keeps_the_verdict_and_a_hum_is_reported(tmp_path):
+    """All declared noises are 25 % too small. The hum has the amplitude of the white noise."""
+    path = write_tank(tmp_path, Truth(BASE, NULLS), RUNS, 3, numerics=TANK)
+    text = path.read_text()
+    for right in ("pressure_noise = 700.0", "force_noise = 0.02", "tip_noise = 0.0005"):
+        assert right in text
+        key, value = right.split(" = ")
+        text = text.replace(right, f"{key} = {0.75 * float(value)}")
+    path.write_text(text)
+    found = close_loop_on_trials(load(path), CANDIDATES, fine=MESH, coarse=MESH)
+    assert found.verdict == "nothing_missing" and found.noise["thrust"].replaced
+    for file in tmp_path.glob("*.csv"):
+        head, *rows = [line.split(",") for line in file.read_text().splitlines()]
+        thrust = head.index("thrust_N")
+        for row in rows:
+            hum = 0.02 * np.sin(2.0 * np.pi * 13.0 * float(row[0]) + 1.0)
+            row[thrust] = f"{float(row[thrust]) + hum:.6f}"
+        file.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
+    found = close_loop_on_trials(load(path), CANDIDATES, fine=MESH, coarse=MESH)
+    assert found.verdict == "unexplained"
+    patterns = [x for x in found.excess["thrust"].patterns if x.has_line]
+    assert len(patterns) >= 3
+    for x in patterns:
+        assert x.frequency_Hz == pytest.approx(13.0, abs=0.3)
+        assert x.amplitude == pytest.approx(0.02, rel=0.3)
 
 
 def test_too_few_trials_are_refused(tmp_path):

@@ -42,6 +42,13 @@ def test_the_p_values_of_white_series_are_uniform():
         assert 0.4 * q - margin < np.mean(line < q) < q + margin
 
 
+def test_a_short_series_rarely_has_a_very_small_p_value():
+    """With the chi-squared distribution, 65 of 20,000 series have a p-value below 2e-4."""
+    place = np.arange(80)
+    x = np.random.default_rng(6).normal(size=(20_000, 80))
+    assert sum(ljung_box(row, place)[1] < 2e-4 for row in x) <= 15
+
+
 def test_white_trials_cause_no_alarm():
     """The sizes alone suppress some alarms, so only the corrected p-values are compared."""
     rng, alarms = np.random.default_rng(1), 0
