@@ -78,17 +78,16 @@ def judge_alternatives(refits: Refits, found: Selection) -> None:
         refits.progress(f"refitting with {swaps}")
         tangents = effect_tangents(problem, entries, final.theta, final.free, settings)
         J = problem.whitened(tangents, refits.white)
-        fits = refits.estimated(final, [start for *_, start in pairs], J, judge=True)
+        fits = refits.raced(final, [start for *_, start in pairs], J, judge=True)
         for (round_, name, _), fit in zip(pairs, fits, strict=True):
             if fit.converged:
                 loss = (fit.square - final.square) / final.inflation
-                round_.alternatives[name] = Alternative(fit, loss, refits.sizes(fit, final))
+                fewer = len(final.free) - len(fit.free)
+                round_.alternatives[name] = Alternative(fit, loss, refits.sizes(fit, final), fewer)
     for round_ in found.rounds:
         unjudged = [n for n in round_.equivalent if n not in round_.alternatives]
         round_.equivalent = [
-            name
-            for name, x in round_.alternatives.items()
-            if not settings.worth_naming(x.loss, x.sizes)
+            name for name, x in round_.alternatives.items() if not x.is_excluded(settings)
         ] + unjudged
 
 
@@ -104,7 +103,7 @@ def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
         fits = {
             name: x.fit.square
             for name, x in round_.alternatives.items()
-            if name in agreed and settings.worth_naming(-x.loss, x.sizes)
+            if name in agreed and x.is_better(settings)
         }
         if fits:
             return round_, min(fits, key=lambda name: fits[name])

@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import residual_outliers
-from calibration.discrepancy.ranges import widen_ranges
+from calibration.discrepancy.ranges import fix_undetermined_shapes, widen_ranges
 from calibration.discrepancy.refits import Refits
 from calibration.discrepancy.rounds import Growth, Selection, effect_entries
 from calibration.discrepancy.selection import select_effects
@@ -245,6 +245,7 @@ def conclude(
         return fit_gauss_newton(all_trials, ranges, x.theta, x.free, progress)
 
     final = widen_ranges(result, refit(result.final, result.entries), refit)
+    final = fix_undetermined_shapes(result, final, refit)
     final = hausman_check(all_trials, final)
     after = excess(problem, result.final)
     verdict = reach_verdict(result, judge_effects(result, final.theta, after), after)

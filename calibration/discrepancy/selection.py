@@ -10,9 +10,10 @@ missing, a wrong effect that resembles both can explain more than either missing
 Zhang, T. (2011), Adaptive forward-backward greedy algorithm for learning sparse representations,
 IEEE Trans. Inf. Theory 57, 4689-4708.
 
-If the fit of a chosen effect ends at an edge of its prior range, the range becomes wider
-(`ranges`). After the selection, alternatives that fit better replace the chosen effects
-(`alternatives`).
+The shape parameters of a chosen effect are fitted too. If the fit of a chosen effect ends at an
+edge of a prior range, the range becomes wider (`ranges`). At the end of the selection, shape
+parameters that the data do not determine return to their defaults. Alternatives that fit better
+then replace the chosen effects (`alternatives`).
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +26,7 @@ from calibration.discrepancy.alternatives import (
     equivalent_effects,
     judge_alternatives,
 )
-from calibration.discrepancy.ranges import widen_ranges
+from calibration.discrepancy.ranges import fix_undetermined_shapes, widen_ranges
 from calibration.discrepancy.refits import FitStart, Refits, effect_tangents, initial_theta
 from calibration.discrepancy.rounds import (
     Refit,
@@ -88,8 +89,18 @@ def _widen(refits: Refits, found: Selection) -> Refits:
         return replace(refits, entries=entries).fit(fit.theta, fit.free)
 
     progress = refits.progress
-    found.final = widen_ranges(found, found.final, refit)
+    found.final = widen_ranges(found, refits.freed(found.final, found.effects), refit)
     return replace(refits, entries=found.entries)
+
+
+def _fix_shapes(refits: Refits, found: Selection) -> None:
+    """Fixes the shape parameters that the data do not determine at their defaults."""
+
+    def refit(fit: Fit, entries: Sequence[Parameter]) -> Fit:
+        refits.progress("refitting with an undetermined shape parameter at its default")
+        return refits.fit(fit.theta, fit.free)
+
+    found.final = fix_undetermined_shapes(found, found.final, refit)
 
 
 def _add(refits: Refits, found: Selection) -> Refits:
@@ -111,7 +122,9 @@ def _add(refits: Refits, found: Selection) -> Refits:
         found.final = next(t.fit for t in round_.refitted if t.name == round_.chosen)
         refits = _widen(refits, found)
         _remove_unnecessary(refits, found, round_)
-    return _widen(refits, found)
+    refits = _widen(refits, found)
+    _fix_shapes(refits, found)
+    return refits
 
 
 def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:
@@ -159,7 +172,7 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
             starts.append(FitStart(theta, free, current.theta))
     if candidates:
         progress(f"refitting with each of: {', '.join(s.name for s in candidates)}")
-    for s, fit in zip(candidates, refits.estimated(current, starts, J), strict=True):
+    for s, fit in zip(candidates, refits.raced(current, starts, J), strict=True):
         if fit.square < FAILED:
             round_.refitted.append(_refit(refits, current, s, fit))
         else:
@@ -196,5 +209,5 @@ def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
 def _refit(refits: Refits, current: Fit, s: Score, fit: Fit) -> Refit:
     gain = (current.square - fit.square) / fit.inflation
     sizes = refits.sizes(current, fit)
-    named = refits.settings.worth_naming(gain, sizes)
+    named = refits.settings.worth_naming(gain, sizes, len(fit.free) - len(current.free))
     return Refit(s.name, fit, gain, sizes, agreement(s.left_out), named)

@@ -218,6 +218,8 @@ def predict_information(
 ) -> TrialInformation:
     """Returns the `TrialInformation` of base parameters and `effects`, at the experiment's values.
 
+    Shape parameters have their defaults. They are not among the chosen parameters, because they
+    have no influence at the null of their effect.
     Raises `InputError` if the experiment has no fixed C_d and m_a, or declares no noise.
     """
     if experiment.parameters.force_coefficients == "ramp":
@@ -228,7 +230,8 @@ def predict_information(
     names = tuple(dict.fromkeys(effects))
     entries = model_parameters(names)
     theta = base_vector(entries, {n: getattr(experiment.parameters, n) for n in BASE})
-    chosen, sensing = np.arange(len(entries)), SensorModel.of(experiment)
+    chosen = np.flatnonzero([not p.is_shape for p in entries])
+    sensing = SensorModel.of(experiment)
     by_tangents = TrialInformation(experiment, names, theta, chosen, sensing, {}, coarse, memo)
     progress("comparing tangents with secants")
     return replace(by_tangents, secants=secant_steps(by_tangents))

@@ -154,7 +154,9 @@ def fit_gauss_newton(
     residuals = problem.residuals(predicted, white)
     square, converged = total(residuals), False
     samples = sum(len(r) for r in residuals.values())
-    J, fresh = _differences(problem, entries, theta, free, white), False
+    few = len(theta) >= FEW * len(free)
+    J = difference_tangents(problem, entries, theta, free, white) if few else None
+    fresh = False
     for iteration in range(MAX_ITERATIONS):
         if J is None:
             J, fresh = problem.whitened(problem.tangents(theta, directions), white), True
@@ -197,20 +199,17 @@ def fit_gauss_newton(
     return Fit(theta, np.asarray(free), square, samples, blocks, predicted, converged)
 
 
-def _differences(
+def difference_tangents(
     problem: AbstractProblem,
     entries: Sequence[Parameter],
     theta: np.ndarray,
     free: np.ndarray,
     white: dict[tuple[int, str], Whitener],
 ) -> dict[tuple[int, str], np.ndarray] | None:
-    """Returns whitened derivatives from differences of readings, or None.
+    """Returns whitened derivatives (k, n) with respect to the k entries `free` from differences.
 
-    The result is None if most entries are free, since tangents then take less time, or if a
-    difference is not finite.
+    The result is None if a difference is not finite.
     """
-    if len(theta) < FEW * len(free):
-        return None
     others, steps = [], []
     for i in free:
         prior = entries[i].prior

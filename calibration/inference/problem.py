@@ -19,7 +19,7 @@ import numpy as np
 from calibration.inference.cache import Memo, cached
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.measurements.records import Record
-from calibration.model.extended import base_values, base_vector, model_parameters
+from calibration.model.extended import acting_entries, base_values, base_vector, model_parameters
 from calibration.model.initial_swing import swing_spans
 from calibration.model.predict import (
     COARSE,
@@ -298,12 +298,21 @@ class TankProblem(AbstractProblem):
         """Returns the derivatives with respect to every entry; the last result is kept.
 
         A fit and the scoring after the fit need different entries at the same `theta`. One program
-        for all entries is compiled faster than a second program.
+        for all entries is compiled faster than a second program. Shape parameters of effects at
+        their null have the derivative zero.
         """
         key = theta.tobytes()
         if key not in self._last:
-            unit = np.eye(len(theta))
-            found = on_all_cores(lambda p: reading_tangents(p, theta, unit), self.coarse_plans)
+            entries = model_parameters(self.coarse_plans[0].extended.effects)
+            acting = acting_entries(entries, theta)
+            unit = np.eye(len(theta))[acting]
+
+            def one(p: TrialPlan) -> np.ndarray:
+                along = np.zeros((len(theta), len(CHANNELS), len(p.at)))
+                along[acting] = reading_tangents(p, theta, unit)
+                return along
+
+            found = on_all_cores(one, self.coarse_plans)
             self._last.clear()
             self._last[key] = found
         return self._last[key]

@@ -246,7 +246,7 @@ def _check_class(kind: type[Effect], where: str, homes: Mapping[str, str]) -> No
                     f"{where}.{name}: given {noun} {prior.null:g}{start}, prior {prior.low:g} to "
                     f"{prior.high:g}; allowed are low < high, and {noun} and start in this range"
                 )
-    for name, prior in kind.priors().items():
+    for name, prior in (kind.priors() | kind.shapes()).items():
         least, most = prior.physical
         if not least <= prior.low < prior.high <= most:
             raise InputError(
