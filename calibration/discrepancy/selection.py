@@ -192,18 +192,20 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
-    """Returns the candidates to refit: the best scored by tangents, and the best by secants."""
+    """Returns the candidates to refit: the best scored by tangents, by secants, and with shapes.
+
+    A candidate with shape parameters is scored at their defaults.
+    """
     entries, settings = refits.entries, refits.settings
-    best = scores[0].gain
-
-    def best_of(least: float, finite: bool) -> list[Score]:
-        found = [s for s in scores if s.p < settings.false_alarm_p and s.gain > least * best]
-        kind = [s for s in found if (entries[scored[s.name][0]].prior.start is not None) == finite]
-        return kind[: settings.short_list]
-
-    tangential = best_of(settings.min_score_share, False)
-    finite = best_of(settings.min_score_share_far, True)
-    return sorted([*tangential, *finite], key=lambda s: -s.gain)
+    shaped = {p.effect for p in entries if p.is_shape}
+    kinds: dict[tuple[bool, bool], list[Score]] = {}
+    for s in scores:
+        kind = s.name in shaped, entries[scored[s.name][0]].prior.start is not None
+        share = settings.min_score_share_far if any(kind) else settings.min_score_share
+        if s.p < settings.false_alarm_p and s.gain > share * scores[0].gain:
+            kinds.setdefault(kind, []).append(s)
+    best = [s for found in kinds.values() for s in found[: settings.short_list]]
+    return sorted(best, key=lambda s: -s.gain)
 
 
 def _refit(refits: Refits, current: Fit, s: Score, fit: Fit) -> Refit:

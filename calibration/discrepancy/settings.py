@@ -24,12 +24,14 @@ class SelectionSettings:
     """The loop refits a candidate only if the p-value of the candidate's score is below this value.
     The p-value, `Score.p`, is corrected for the number of candidates."""
     short_list: int = 5
-    """A round refits at most this many candidates scored by tangents, and as many by secants."""
+    """A round refits at most this many candidates scored by tangents, as many by secants, and as
+    many with shape parameters."""
     min_score_share: float = 0.5
     """The loop refits a candidate only if its score exceeds this fraction of the best score."""
     min_score_share_far: float = 0.2
-    """Value of `min_score_share` for candidates that are scored with a secant (`Prior.start`). This
-    value is smaller because a score from a secant is less accurate."""
+    """Value of `min_score_share` for candidates that are scored with a secant (`Prior.start`) and
+    for candidates with shape parameters. This value is smaller because a score from a secant or
+    with the default of a shape parameter is less accurate."""
     naming_share: float = 0.7
     """The loop refits a candidate only if its predicted change of a channel exceeds this fraction
     of the channel's model-discretisation discrepancy. It is below 1: the prediction is linear."""

@@ -93,7 +93,12 @@ def value_by_variation(fit: Fit, index: int) -> float | None:
 
 
 def determined(p: Parameter, low: float, high: float) -> bool:
-    """Returns whether the interval `low` to `high` is narrower than half the prior range."""
+    """Returns whether the interval `low` to `high` is narrower than half the prior range.
+
+    Logarithms are compared for a positive shape parameter, because its range covers magnitudes.
+    """
+    if p.is_shape and p.prior.low > 0.0:
+        return low > 0.0 and (high / low) ** 2 < p.prior.high / p.prior.low
     return high - low < 0.5 * (p.prior.high - p.prior.low)
 
 
