@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calibration.discrepancy.alternatives import judge_alternatives
 from calibration.discrepancy.ranges import fix_undetermined_shapes, widened_prior
 from calibration.discrepancy.refits import Refits, shape_starts
 from calibration.discrepancy.rounds import Alternative, effect_entries, scoring_entries
@@ -70,7 +71,7 @@ def test_an_effect_with_another_shape_is_found_with_its_shape(lag):
 
 
 def test_with_its_default_shape_the_effect_would_lose_against_a_wrong_effect():
-    """The rival is scored higher; the test above is therefore a test of the refits."""
+    """The rival's score is more than twice as large, so the test above tests the refits."""
     first = select(0.5, 5.0).rounds[0]
     assert [s.name for s in first.scores[:2]] == ["stress_relaxation", "internal_friction"]
     own = next(s for s in first.scores if s.name == "internal_friction")
@@ -117,6 +118,31 @@ def test_the_removal_of_an_effect_removes_its_shape():
     less = refits.without(current, "internal_friction")
     assert less is not None and set(less.free) == {K, MASS}
     assert (less.theta[SIZE], less.theta[LAG]) == (0.0, DEFAULT)
+    known = [x._replace(A=np.diag([1e6, 1e6, 1.0, 1e3])) for x in current.blocks]
+    again = refits.without(current._replace(blocks=known), "internal_friction")
+    assert again is not None  # a shape far from its default does not make an effect necessary
+
+
+def test_free_shapes_continue_a_fit_with_the_defaults():
+    refits = Refits(Lagged((1.0, 0.5, 1.0, 0.0, 0.0)), ENTRIES, {}, lambda text: None)
+    fixed = refits.fit(np.array([1.0, 0.4, DEFAULT, 0.0, 0.0]), np.array([K, SIZE]))
+    free = refits.freed(fixed, ["internal_friction"])
+    assert free.free.tolist() == [K, SIZE, LAG]
+    assert free.theta[LAG] == pytest.approx(1.0, abs=0.1)
+    assert refits.freed(free, ["internal_friction"]) is free
+    assert refits.freed(fixed, ["carried_mass"]) is fixed
+
+
+def test_the_shape_of_an_alternative_is_fitted_when_it_is_substituted():
+    problem = Lagged((1.0, 0.0, DEFAULT, 0.06, 0.0))
+    found = select_effects(problem, ENTRIES, START, base_names=("k",))
+    (round_,) = [r for r in found.rounds if r.chosen]
+    assert found.effects == ["stress_relaxation"]
+    for refit in round_.refitted:
+        refit.fit.theta[LAG] = DEFAULT
+    judge_alternatives(Refits(problem, ENTRIES, {}, lambda text: None), found)
+    alternative = round_.alternatives["internal_friction"]
+    assert alternative.fit.theta[LAG] == pytest.approx(1.0, abs=0.3) and alternative.fewer == -1
 
 
 def test_the_widest_of_two_undetermined_shapes_is_fixed_first():
