@@ -246,7 +246,7 @@ def conclude(
 
     final = widen_ranges(result, refit(result.final, result.entries), refit)
     final = fix_undetermined_shapes(result, final, refit)
-    final = hausman_check(all_trials, final)
+    final = hausman_check(all_trials, result.entries, final)
     after = excess(problem, result.final)
     verdict = reach_verdict(result, judge_effects(result, final.theta, after), after)
     return LoopOutcome(

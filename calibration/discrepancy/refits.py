@@ -12,10 +12,10 @@ from calibration.inference.gauss_newton import (
     Bounds,
     Fit,
     broyden_update,
-    difference_tangents,
     fit_gauss_newton,
     inverse,
     linear_optimum,
+    reading_derivatives,
 )
 from calibration.inference.noise import Whitener
 from calibration.inference.problem import FAILED, AbstractProblem, normal_equations, summed, total
@@ -238,8 +238,10 @@ class Refits:
         for k, x in enumerate(starts):
             best = min(found[k], key=lambda fit: fit.square)
             if shapes[k] and best.square < FAILED:
-                J = difference_tangents(self.problem, self.entries, best.theta, x.free, self.white)
-                more += [] if J is None else [(k, FitStart(best.theta, x.free, best.theta, J))]
+                here = (self.problem, self.entries, best.theta, x.free)
+                J = self.problem.whitened(reading_derivatives(*here), self.white)
+                if all(np.isfinite(x).all() for x in J.values()):
+                    more.append((k, FitStart(best.theta, x.free, best.theta, J)))
         most = max((current.square - fit.square for fit in fits), default=0.0)
         free = self.estimated(current, [x for _, x in more], tangents, judge, most)
         chosen = [each[0] for each in found]

@@ -27,7 +27,13 @@ from calibration.discrepancy.alternatives import (
     judge_alternatives,
 )
 from calibration.discrepancy.ranges import fix_undetermined_shapes, widen_ranges
-from calibration.discrepancy.refits import FitStart, Refits, effect_tangents, initial_theta
+from calibration.discrepancy.refits import (
+    FitStart,
+    Refits,
+    Tangents,
+    effect_tangents,
+    initial_theta,
+)
 from calibration.discrepancy.rounds import (
     Refit,
     Selection,
@@ -40,7 +46,7 @@ from calibration.discrepancy.rounds import (
 from calibration.discrepancy.scores import Score, score
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.problem import FAILED, AbstractProblem, normal_equations
+from calibration.inference.problem import FAILED, AbstractProblem, ChannelBlock, normal_equations
 from calibration.model.extended import BASE, Parameter
 from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import LIBRARY
@@ -57,7 +63,7 @@ def select_effects(
     """Selects the effects that the base model with the fitted parameters `base_names` lacks."""
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
-    first = fit_gauss_newton(problem, entries, theta, free, progress, exact=False)
+    first = fit_gauss_newton(problem.on_coarse_mesh(), entries, theta, free, progress, exact=False)
     white = problem.whiteners(first.predicted)
     base = fit_gauss_newton(problem, entries, first.theta, free, progress, white)
     refits = Refits(problem, entries, white, progress, settings)
@@ -108,13 +114,13 @@ def _add(refits: Refits, found: Selection) -> Refits:
 
     Returns the refits with the prior ranges of the added effects.
     """
-    settings = refits.settings
+    settings, tangents = refits.settings, None
     while len(found.effects) < settings.max_effects and len(found.rounds) < settings.max_rounds:
         rest = [n for n in effect_entries(refits.entries) if _can_join(n, found.effects)]
         if not rest:
             break
         refits.progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
-        round_ = _round(refits, found.final, rest)
+        round_, tangents = _round(refits, found.final, rest, tangents)
         found.rounds.append(round_)
         if round_.chosen is None:
             break
@@ -149,16 +155,36 @@ def _can_join(name: str, effects: list[str]) -> bool:
     return name not in effects and LIBRARY[name].replaces_law not in taken
 
 
-def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
+def _scores(
+    refits: Refits, current: Fit, rest: Sequence[str], J: Tangents
+) -> tuple[list[Score], list[ChannelBlock]]:
+    """Returns the scores of the candidates `rest`, best first, and the normal equations."""
+    residuals = refits.problem.residuals(current.predicted, refits.white)
+    blocks = normal_equations(residuals, J)
+    unit, scored = current.inflation, scoring_entries(refits.entries)
+    scores = [
+        score(n, scored[n], current.free, blocks, unit, len(rest), refits.settings) for n in rest
+    ]
+    return sorted(scores, key=lambda s: -s.gain), blocks
+
+
+def _round(
+    refits: Refits, current: Fit, rest: Sequence[str], last: Tangents | None
+) -> tuple[SelectionStep, Tangents]:
+    """Returns a round of the selection and the whitened tangents of its scores.
+
+    `last` are the tangents of the round before. If no candidate nears the naming threshold with
+    them, no other tangents are computed.
+    """
     problem, entries, progress = refits.problem, refits.entries, refits.progress
-    settings = refits.settings
-    residuals = problem.residuals(current.predicted, refits.white)
+    settings, scored = refits.settings, scoring_entries(refits.entries)
+    if last is not None:
+        scores, _ = _scores(refits, current, rest, last)
+        if scores[0].gain < settings.distant_gain_share * settings.min_gain:
+            return SelectionStep(scores), last
     tangents = effect_tangents(problem, entries, current.theta, current.free, settings)
     J = problem.whitened(tangents, refits.white)
-    blocks = normal_equations(residuals, J)
-    unit, scored = current.inflation, scoring_entries(entries)
-    scores = [score(n, scored[n], current.free, blocks, unit, len(rest), settings) for n in rest]
-    scores.sort(key=lambda s: -s.gain)
+    scores, blocks = _scores(refits, current, rest, J)
     round_, candidates, starts = SelectionStep(scores), [], []
     for s in _short_list(scores, refits, scored):
         pairs = zip(current.predicted, tangents, strict=True)
@@ -188,7 +214,7 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
             round_.chosen = best.name
             round_.equivalent = equivalent_effects(best, round_, scored, current, blocks, settings)
             break
-    return round_
+    return round_, J
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:

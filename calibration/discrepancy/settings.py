@@ -35,6 +35,10 @@ class SelectionSettings:
     naming_share: float = 0.7
     """The loop refits a candidate only if its predicted change of a channel exceeds this fraction
     of the channel's model-discretisation discrepancy. It is below 1: the prediction is linear."""
+    distant_gain_share: float = 0.5
+    """A round ends the selection if every candidate's gain is below this fraction of `min_gain`
+    with the tangents of the round before. These tangents are nearly those of the round, and save
+    the longest computation of most selections."""
     visible_share: float = 1e-3
     """Cross-validation omits the trials that a candidate hardly changes. A trial is used if its sum
     of squared changes is at least this fraction of the largest such sum of any trial."""

@@ -99,7 +99,7 @@ def identify_parameters(
     best = METHODS[method](problem, entries, initial, strengths, progress)
     if len(strengths) < len(entries):  # the size of an effect determines how its shape acts
         best = METHODS[method](problem, entries, best.theta, np.arange(len(entries)), progress)
-    best = hausman_check(problem, best)
+    best = hausman_check(problem, entries, best)
     proposals = propose_trials(experiment, entries, problem, best, coarse, progress)
     found = experiment, entries, problem, before, best, method, proposals, audited.findings
     return Identified(*found, residual_warning(problem, best))

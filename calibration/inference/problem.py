@@ -10,7 +10,7 @@ Fits, cross-validation and equivalence classes are computed from sums of A, b an
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, final
 
@@ -105,6 +105,10 @@ class AbstractProblem(ABC):
 
     @abstractmethod
     def _coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]: ...
+
+    def on_coarse_mesh(self) -> "AbstractProblem":
+        """Returns this problem with the mesh of the tangents for all simulations."""
+        return self
 
     @abstractmethod
     def spans(self) -> list[np.ndarray] | None:
@@ -246,6 +250,10 @@ class TankProblem(AbstractProblem):
             mesh=coarse,
             swing=swing,
         )
+
+    def on_coarse_mesh(self) -> "TankProblem":
+        # The names of cached readings do not contain the mesh.
+        return replace(self, fine=self.coarse_plans, memo=None)
 
     def spans(self) -> list[np.ndarray] | None:
         return self._spans

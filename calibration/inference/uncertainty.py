@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.inference.gauss_newton import Fit, inverse
+from calibration.inference.gauss_newton import Fit, inverse, reading_derivatives
 from calibration.inference.problem import AbstractProblem, summed
 from calibration.model.extended import Parameter
 from slider_jax.channels import BUILT_IN, CHANNELS
@@ -44,7 +44,7 @@ def confidence_interval(
     return value, value - 1.96 * error, value + 1.96 * error
 
 
-def hausman_check(problem: AbstractProblem, fit: Fit) -> Fit:
+def hausman_check(problem: AbstractProblem, entries: Sequence[Parameter], fit: Fit) -> Fit:
     """Returns the fit with `difference` and `widening` from Hausman's test.
 
     The test gives the forces a very large tare, so that their means have no influence, and takes
@@ -62,7 +62,7 @@ def hausman_check(problem: AbstractProblem, fit: Fit) -> Fit:
         for key, x in problem.noise.items()
     }
     freed = replace(problem, noise=noise)
-    along = problem.tangents(fit.theta, np.eye(len(fit.theta))[fit.free])
+    along = reading_derivatives(problem, entries, fit.theta, fit.free)
     (A, b), (own_A, own_b) = (_normal(x, fit, along) for x in (freed, problem))
     if not (np.isfinite(A).all() and np.isfinite(own_A).all()):
         return fit

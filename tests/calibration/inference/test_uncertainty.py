@@ -56,7 +56,8 @@ def fitted(seed: int, varying: float):
         found.append(Record(trial, T, np.where(shown, force(1.0, varying) + noise, np.nan)))
     noise = {(i, "thrust"): Noise(0.05, tare=TARE) for i in range(TRIALS)}
     problem = Drag(records=found, channels=("thrust",), noise=noise)
-    return hausman_check(problem, fit_gauss_newton(problem, ENTRIES, np.array([1.0]), np.arange(1)))
+    fit = fit_gauss_newton(problem, ENTRIES, np.array([1.0]), np.arange(1))
+    return hausman_check(problem, ENTRIES, fit)
 
 
 def test_consistent_data_do_not_widen_the_interval():
