@@ -128,7 +128,9 @@ def close_loop_on_trials(
     initial = base_vector(entries, base)
     progress("auditing the data")
     audited = audit_measurements(
-        experiment, settings.min_trials, lambda few: problem_of(few).predict(initial)
+        experiment,
+        settings.min_trials,
+        lambda few: problem_of(few).on_coarse_mesh().predict(initial),
     )
     for finding in audited.findings:
         progress(str(finding))

@@ -65,7 +65,7 @@ def select_effects(
     progress("calibrating the base model")
     first = fit_gauss_newton(problem.on_coarse_mesh(), entries, theta, free, progress, exact=False)
     white = problem.whiteners(first.predicted)
-    base = fit_gauss_newton(problem, entries, first.theta, free, progress, white)
+    base = fit_gauss_newton(problem, entries, first.theta, free, progress, white, exact=False)
     refits = Refits(problem, entries, white, progress, settings)
     found = Selection(base, base, [], [], settings, entries)
     for swaps in range(settings.max_swaps + 1):

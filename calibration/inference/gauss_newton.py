@@ -43,6 +43,8 @@ FEW, DIFFERENCE = 3, 1e-4
 """Derivatives are differences instead of tangents if less than one in `FEW` entries is free. All
 tangents are computed together, so a few of them are dear. A difference is for a change of a
 parameter by the fraction `DIFFERENCE` of its prior range."""
+FRESH_DISTANCE = 0.5
+"""Derivatives count as new until the parameters have moved by this many standard errors."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Fractions of a step that are tried in this order."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
@@ -155,11 +157,11 @@ def fit_gauss_newton(
     residuals = problem.residuals(predicted, white)
     square, converged = total(residuals), False
     samples = sum(len(r) for r in residuals.values())
-    J, fresh = None, True
+    J, fresh, origin = None, True, theta
     for iteration in range(MAX_ITERATIONS):
         if J is None:
             J = problem.whitened(reading_derivatives(problem, entries, theta, free), white)
-            fresh = True
+            fresh, origin = True, theta
         blocks = normal_equations(residuals, J)
         A, b = summed(blocks)
         if not (np.isfinite(A).all() and np.isfinite(b).all()):
@@ -170,7 +172,8 @@ def fit_gauss_newton(
         enough = unit * (GAIN_TOLERANCE if unit < POOR_FIT else ROUGH_GAIN_TOLERANCE)
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
         if abs(expected) < enough:
-            if fresh or not exact:
+            moved = (theta - origin)[free]
+            if fresh or not exact or moved @ A @ moved < FRESH_DISTANCE**2 * unit:
                 converged = True
                 break
             J = None
