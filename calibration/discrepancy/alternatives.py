@@ -12,7 +12,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.discrepancy.refits import FitStart, Refits, effect_tangents, initial_theta
+from calibration.discrepancy.refits import (
+    FitStart,
+    Refits,
+    Tangents,
+    effect_tangents,
+    initial_theta,
+)
 from calibration.discrepancy.rounds import (
     Alternative,
     Refit,
@@ -55,9 +61,11 @@ def equivalent_effects(
     return same + parallel
 
 
-def judge_alternatives(refits: Refits, found: Selection) -> None:
+def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = None) -> None:
     """Substitutes each alternative for its round's chosen effect and updates the equivalence class.
 
+    `J` are the last tangents that were computed. They are used if they contain all parameters that
+    the final fit keeps.
     An alternative that cannot be fitted remains in the class if it was in the class before. If a
     residual exceeds the noise floor, no class changes.
     """
@@ -76,8 +84,10 @@ def judge_alternatives(refits: Refits, found: Selection) -> None:
     if pairs:
         swaps = ", ".join(f"{name} instead of {round_.chosen}" for round_, name, _ in pairs)
         refits.progress(f"refitting with {swaps}")
-        tangents = effect_tangents(problem, entries, final.theta, final.free, settings)
-        J = problem.whitened(tangents, refits.white)
+        kept = np.intersect1d(np.concatenate([start.free for *_, start in pairs]), final.free)
+        if J is None or not np.all([any(x[i].any() for x in J.values()) for i in kept]):
+            tangents = effect_tangents(problem, entries, final.theta, final.free, settings)
+            J = problem.whitened(tangents, refits.white)
         fits = refits.raced(final, [start for *_, start in pairs], J, judge=True)
         for (round_, name, _), fit in zip(pairs, fits, strict=True):
             if fit.converged:

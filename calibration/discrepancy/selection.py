@@ -69,8 +69,8 @@ def select_effects(
     refits = Refits(problem, entries, white, progress, settings)
     found = Selection(base, base, [], [], settings, entries)
     for swaps in range(settings.max_swaps + 1):
-        refits = _add(refits, found)
-        judge_alternatives(refits, found)
+        refits, tangents = _add(refits, found)
+        judge_alternatives(refits, found, tangents)
         swap = better_alternative(found)
         if swap is None or swaps == settings.max_swaps:
             break
@@ -109,10 +109,10 @@ def _fix_shapes(refits: Refits, found: Selection) -> None:
     found.final = fix_undetermined_shapes(found, found.final, refit)
 
 
-def _add(refits: Refits, found: Selection) -> Refits:
+def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
     """Adds one effect in each round until no candidate exceeds the naming threshold.
 
-    Returns the refits with the prior ranges of the added effects.
+    Returns the refits with the prior ranges of the added effects, and the last whitened tangents.
     """
     settings, tangents = refits.settings, None
     while len(found.effects) < settings.max_effects and len(found.rounds) < settings.max_rounds:
@@ -130,7 +130,7 @@ def _add(refits: Refits, found: Selection) -> Refits:
         _remove_unnecessary(refits, found, round_)
     refits = _widen(refits, found)
     _fix_shapes(refits, found)
-    return refits
+    return refits, tangents
 
 
 def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:

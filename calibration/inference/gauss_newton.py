@@ -43,7 +43,7 @@ FEW, DIFFERENCE = 3, 1e-4
 """Derivatives are differences instead of tangents if less than one in `FEW` entries is free. All
 tangents are computed together, so a few of them are dear. A difference is for a change of a
 parameter by the fraction `DIFFERENCE` of its prior range."""
-FRESH_DISTANCE = 0.5
+FRESH_DISTANCE = 0.3
 """Derivatives count as new until the parameters have moved by this many standard errors."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Fractions of a step that are tried in this order."""
