@@ -85,7 +85,7 @@ def refitted(s: MethodInput, names: Sequence[str]) -> Fit:
         theta[i] = np.clip(theta[i] + step[i], prior.low, prior.high)
         if s.entries[i].effect and prior.start is not None:
             theta[i] = prior.start
-        elif s.entries[i].effect and theta[i] == prior.null:
+        elif s.entries[i].effect and theta[i] == prior.null and not s.entries[i].is_shape:
             theta[i] += 0.02 * (prior.high - prior.low)
     return fit_gauss_newton(s.problem, s.entries, theta, free, white=s.white)
 

@@ -36,7 +36,7 @@ def effects_of(given: list[str]) -> dict[str, dict[str, float]]:
             raise InputError(
                 f"--effect {text}: unknown effect {effect}; `slider effects` lists them"
             )
-        priors = LIBRARY[effect].priors()
+        priors = LIBRARY[effect].priors() | LIBRARY[effect].shapes()
         if name not in priors:
             raise InputError(f"--effect {text}: allowed parameters are {', '.join(priors)}")
         try:

@@ -12,7 +12,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.discrepancy.refits import FitStart, Refits, effect_tangents, initial_theta
+from calibration.discrepancy.refits import (
+    FitStart,
+    Refits,
+    Tangents,
+    effect_tangents,
+    initial_theta,
+)
 from calibration.discrepancy.rounds import (
     Alternative,
     Refit,
@@ -55,9 +61,11 @@ def equivalent_effects(
     return same + parallel
 
 
-def judge_alternatives(refits: Refits, found: Selection) -> None:
+def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = None) -> None:
     """Substitutes each alternative for its round's chosen effect and updates the equivalence class.
 
+    `J` are the last tangents that were computed. They are used if they contain all parameters that
+    the final fit keeps.
     An alternative that cannot be fitted remains in the class if it was in the class before. If a
     residual exceeds the noise floor, no class changes.
     """
@@ -76,19 +84,20 @@ def judge_alternatives(refits: Refits, found: Selection) -> None:
     if pairs:
         swaps = ", ".join(f"{name} instead of {round_.chosen}" for round_, name, _ in pairs)
         refits.progress(f"refitting with {swaps}")
-        tangents = effect_tangents(problem, entries, final.theta, final.free, settings)
-        J = problem.whitened(tangents, refits.white)
-        fits = refits.estimated(final, [start for *_, start in pairs], J, judge=True)
+        kept = np.intersect1d(np.concatenate([start.free for *_, start in pairs]), final.free)
+        if J is None or not np.all([any(x[i].any() for x in J.values()) for i in kept]):
+            tangents = effect_tangents(problem, entries, final.theta, final.free, settings)
+            J = problem.whitened(tangents, refits.white)
+        fits = refits.raced(final, [start for *_, start in pairs], J, judge=True)
         for (round_, name, _), fit in zip(pairs, fits, strict=True):
             if fit.converged:
                 loss = (fit.square - final.square) / final.inflation
-                round_.alternatives[name] = Alternative(fit, loss, refits.sizes(fit, final))
+                fewer = len(final.free) - len(fit.free)
+                round_.alternatives[name] = Alternative(fit, loss, refits.sizes(fit, final), fewer)
     for round_ in found.rounds:
         unjudged = [n for n in round_.equivalent if n not in round_.alternatives]
         round_.equivalent = [
-            name
-            for name, x in round_.alternatives.items()
-            if not settings.worth_naming(x.loss, x.sizes)
+            name for name, x in round_.alternatives.items() if not x.is_excluded(settings)
         ] + unjudged
 
 
@@ -104,7 +113,7 @@ def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
         fits = {
             name: x.fit.square
             for name, x in round_.alternatives.items()
-            if name in agreed and settings.worth_naming(-x.loss, x.sizes)
+            if name in agreed and x.is_better(settings)
         }
         if fits:
             return round_, min(fits, key=lambda name: fits[name])

@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import residual_outliers
-from calibration.discrepancy.ranges import widen_ranges
+from calibration.discrepancy.ranges import fix_undetermined_shapes, widen_ranges
 from calibration.discrepancy.refits import Refits
 from calibration.discrepancy.rounds import Growth, Selection, effect_entries
 from calibration.discrepancy.selection import select_effects
@@ -159,7 +159,9 @@ def close_loop_on_trials(
     initial = base_vector(entries, base)
     progress("auditing the data")
     audited = audit_measurements(
-        experiment, settings.min_trials, lambda few: problem_of(few).predict(initial)
+        experiment,
+        settings.min_trials,
+        lambda few: problem_of(few).on_coarse_mesh().predict(initial),
     )
     for finding in audited.findings:
         progress(str(finding))
@@ -306,7 +308,9 @@ def conclude(
         return fit_gauss_newton(all_trials, ranges, x.theta, x.free, progress)
 
     final = widen_ranges(result, refit(result.final, result.entries), refit)
-    final = widen_by_correlation(all_trials, hausman_check(all_trials, final))
+    final = fix_undetermined_shapes(result, final, refit)
+    final = hausman_check(all_trials, result.entries, final)
+    final = widen_by_correlation(all_trials, final)
     after = tested_excess(problem, result.final)
     verdict = reach_verdict(result, judge_effects(result, final.theta, after), after)
     return LoopOutcome(

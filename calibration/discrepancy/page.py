@@ -16,7 +16,7 @@ from calibration.discrepancy.report import (
 )
 from calibration.discrepancy.verdict import BEYOND_PRIOR, CLASS, IDENTIFIED, PROVISIONAL
 from calibration.reporting.html import embedded_png, render_page
-from calibration.reporting.parameters import widened
+from calibration.reporting.parameters import undetermined, widened
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.io.figures import new_figure
 
@@ -45,9 +45,16 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
         record=record,
         sources=_sources(record["input"]),
         statuses=[
-            [x["title"], x["name"], x["status"], STATUS_TEXTS[x["status"]], ", ".join(x["class"])]
+            [
+                x["title"],
+                x["name"],
+                " and ".join(x["segments"]),
+                x["status"],
+                STATUS_TEXTS[x["status"]],
+                ", ".join(x["class"]),
+            ]
             for x in record["effects"]
-        ],
+        ],  # fmt: skip
         effect_lines=effect_sentences(outcome) + veto_sentences(outcome),
         residual_line=residual_sentence(outcome),
         effect_files=_sources({"logs": record["effect_files"]}),
@@ -122,7 +129,7 @@ def _noise(outcome: LoopOutcome) -> list[list[str]]:
 
 def _interval(x: dict[str, Any]) -> list[str]:
     if x["value"] is None:
-        return ["not determined by these data", f"{x['low']:.3g} to {x['high']:.3g}", x["unit"]]
+        return [undetermined(x), f"{x['low']:.3g} to {x['high']:.3g}", x["unit"]]
     return [f"{x['value']:.4g}", f"{x['low']:.4g} to {x['high']:.4g}", x["unit"]]
 
 

@@ -1,4 +1,4 @@
-"""Widens the prior range of a selected effect if the fit ends at an edge of this range."""
+"""Widens prior ranges in which a fit ends at an edge, and fixes undetermined shape parameters."""
 
 from collections.abc import Callable, Sequence
 
@@ -23,13 +23,16 @@ def at_edge(x: float, prior: Prior, margin: float) -> bool:
     return low or high
 
 
-def widened_prior(prior: Prior, factor: float) -> Prior:
+def widened_prior(prior: Prior, factor: float, is_shape: bool = False) -> Prior:
     """Returns the prior with a range `factor` times as wide about the null.
 
-    An end that is the null stays, and the range ends at the physical limits.
+    An end that is the null stays, and the range ends at the physical limits. For a positive shape
+    parameter, such as a time constant, the low end is divided by the factor instead.
     """
-    ends = (prior.null + factor * (end - prior.null) for end in (prior.low, prior.high))
-    low, high = (float(np.clip(end, *prior.physical)) for end in ends)
+    low, high = (prior.null + factor * (end - prior.null) for end in (prior.low, prior.high))
+    if is_shape and prior.low > 0.0:
+        low = prior.low / factor
+    low, high = (float(np.clip(end, *prior.physical)) for end in (low, high))
     return prior._replace(low=low, high=high)
 
 
@@ -65,7 +68,37 @@ def widen_ranges(
         return fit
     found.declared |= {i: found.entries[i].prior for i in edges}
     found.entries = [
-        p._replace(prior=widened_prior(p.prior, settings.range_factor)) if i in edges else p
+        p._replace(prior=widened_prior(p.prior, settings.range_factor, p.is_shape))
+        if i in edges
+        else p
         for i, p in enumerate(found.entries)
     ]
     return refit(fit, found.entries)
+
+
+def fix_undetermined_shapes(
+    found: Selection, fit: Fit, refit: Callable[[Fit, Sequence[Parameter]], Fit]
+) -> Fit:
+    """Returns `fit`, repeated with undetermined shape parameters fixed at their defaults.
+
+    The parameter with the widest interval is fixed first. A parameter stays free if its default
+    fits significantly worse: the data then determine one end of its interval.
+    """
+    settings, entries, kept = found.settings, found.entries, set[int]()
+    least = settings.least_gain(2) - settings.least_gain(1)
+    while True:
+        widths = {}
+        for i in (int(i) for i in fit.free if entries[i].is_shape and int(i) not in kept):
+            _, low, high = confidence_interval(fit, entries, i)
+            if not determined(entries[i], low, high):
+                widths[i] = (high - low) / (entries[i].prior.high - entries[i].prior.low)
+        if not widths:
+            return fit
+        widest = max(widths, key=lambda i: widths[i])
+        theta = fit.theta.copy()
+        theta[widest] = entries[widest].prior.null
+        fixed = refit(fit._replace(theta=theta, free=fit.free[fit.free != widest]), entries)
+        if fixed.converged and (fixed.square - fit.square) / fit.inflation < least:
+            fit = fixed
+        else:
+            kept.add(widest)

@@ -15,6 +15,7 @@ from calibration.inference.gauss_newton import (
     fit_gauss_newton,
     inverse,
     linear_optimum,
+    reading_derivatives,
 )
 from calibration.inference.noise import Whitener
 from calibration.inference.problem import FAILED, AbstractProblem, normal_equations, summed, total
@@ -68,7 +69,8 @@ def initial_theta(
     """Returns the parameter vector from which a refit with an additional effect starts.
 
     `group` are the indices of the effect's parameters. Parameters with a `Prior.start` start there.
-    If no parameter has a start, the vector is `theta` plus the `step` of the effect's score.
+    If no parameter has a start, the vector is `theta` plus the `step` of the effect's score. Shape
+    parameters do not move.
     """
     entries = refits.entries
     starts = [i for i in group if entries[i].prior.start is not None]
@@ -78,7 +80,8 @@ def initial_theta(
         return theta
     low, high = np.array([[p.prior.low, p.prior.high] for p in entries]).T
     moved = np.where(step == 0.0, theta, np.clip(theta + step, low, high))
-    still = group[moved[group] == theta[group]]
+    strengths = np.array([i for i in group if not entries[i].is_shape])
+    still = strengths[moved[strengths] == theta[strengths]]
     moved[still] += refits.settings.initial_step_share * (high - low)[still]
     return moved
 
@@ -95,6 +98,35 @@ class FitStart(NamedTuple):
     """Indices of the entries of `theta` that are fitted."""
     null: np.ndarray
     """Parameters that can be simulated; a start that fails is moved towards these."""
+    J: Tangents | None = None
+    """Tangents of the entries `free` (default: the tangents at the current fit)."""
+
+
+def shape_starts(
+    entries: Sequence[Parameter],
+    theta: np.ndarray,
+    shapes: Sequence[int],
+    settings: SelectionSettings = DEFAULT_SETTINGS,
+) -> list[np.ndarray]:
+    """Returns `theta` with several values of the shape parameters `shapes` (indices).
+
+    The first vector has the defaults. In each other vector, one parameter differs from its default:
+    it has the value of `theta`, or its default times or divided by `shape_factor`. All values are
+    inside the prior range, because a fit cannot leave a bound of the range.
+    """
+    first = theta.copy()
+    first[shapes] = [entries[i].prior.null for i in shapes]
+    found = [first]
+    for i in shapes:
+        prior = entries[i].prior
+        margin = settings.initial_step_share * (prior.high - prior.low)
+        factor = settings.shape_factor
+        for x in dict.fromkeys([float(theta[i]), prior.null / factor, prior.null * factor]):
+            other = first.copy()
+            other[i] = np.clip(x, prior.low + margin, prior.high - margin)
+            if x != prior.null:
+                found.append(other)
+    return found
 
 
 class Estimate:
@@ -103,7 +135,7 @@ class Estimate:
     def __init__(self, refits: "Refits", start: FitStart, tangents: Tangents):
         self.refits, self.start = refits, start
         self.proposed = start.theta
-        self.J = {key: x[start.free] for key, x in tangents.items()}
+        self.J = start.J or {key: x[start.free] for key, x in tangents.items()}
         self.bounds = Bounds.of([refits.entries[i] for i in start.free])
         self.best = Fit(start.theta, np.asarray(start.free), FAILED, 0, [], [], False)
         self.residuals: dict[tuple[int, str], np.ndarray] = {}
@@ -168,8 +200,68 @@ class Refits:
         theta[group] = [self.entries[i].prior.null for i in group]
         return theta
 
-    def estimated(
+    def freed(self, fit: Fit, effects: Sequence[str]) -> Fit:
+        """Returns `fit`, repeated with free shape parameters of `effects`."""
+        groups = effect_entries(self.entries)
+        shapes = [i for n in effects for i in groups[n] if self.entries[i].is_shape]
+        shapes = [i for i in shapes if i not in fit.free]
+        if not shapes:
+            return fit
+        self.progress(f"refitting with free {', '.join(self.entries[i].label for i in shapes)}")
+        found = self.fit(fit.theta, np.concatenate([fit.free, shapes]))
+        return found if found.converged and found.square <= fit.square else fit
+
+    def raced(
         self, current: Fit, starts: Sequence[FitStart], tangents: Tangents, judge: bool = False
+    ) -> list[Fit]:
+        """Returns the best fit from each of `starts`, computed by `estimated`.
+
+        The tangents at the null of an effect do not depend on the effect's shape parameters. The
+        first fits therefore keep these parameters at each value of `shape_starts`. The best fit is
+        then continued with free shape parameters. The result is this fit, or the fit with the
+        defaults if the free parameters do not gain as much as `least_gain` requires.
+        """
+        shapes = [
+            [int(i) for i in x.free if self.entries[i].is_shape and i not in current.free]
+            for x in starts
+        ]
+        lanes = [
+            (k, x._replace(theta=theta, free=x.free[~np.isin(x.free, own)]))
+            for k, (x, own) in enumerate(zip(starts, shapes, strict=True))
+            for theta in shape_starts(self.entries, x.theta, own, self.settings)
+        ]
+        found: list[list[Fit]] = [[] for _ in starts]
+        fits = self.estimated(current, [x for _, x in lanes], tangents, judge)
+        for (k, _), fit in zip(lanes, fits, strict=True):
+            found[k].append(fit)
+        more = []
+        for k, x in enumerate(starts):
+            best = min(found[k], key=lambda fit: fit.square)
+            if shapes[k] and best.square < FAILED:
+                here = (self.problem, self.entries, best.theta, x.free)
+                J = self.problem.whitened(reading_derivatives(*here), self.white)
+                if all(np.isfinite(x).all() for x in J.values()):
+                    more.append((k, FitStart(best.theta, x.free, best.theta, J)))
+        most = max((current.square - fit.square for fit in fits), default=0.0)
+        free = self.estimated(current, [x for _, x in more], tangents, judge, most)
+        chosen = [each[0] for each in found]
+        for (k, _), fit in zip(more, free, strict=True):
+            chosen[k] = max(chosen[k], fit, key=lambda fit: self._surplus(current, fit))
+        return chosen
+
+    def _surplus(self, current: Fit, fit: Fit) -> float:
+        """Returns the gain of `fit` over `current`, minus the required gain."""
+        added = int(np.sum(~np.isin(fit.free, current.free)))
+        gain = (current.square - fit.square) / fit.inflation
+        return gain - self.settings.least_gain(max(added, 1))
+
+    def estimated(
+        self,
+        current: Fit,
+        starts: Sequence[FitStart],
+        tangents: Tangents,
+        judge: bool = False,
+        most: float = 0.0,
     ) -> list[Fit]:
         """Returns a fit from each of `starts`, with readings of the coarse mesh.
 
@@ -178,12 +270,14 @@ class Refits:
         each step. All fits are simulated in one batch. A start that cannot be simulated is moved
         halfway to `current`, at most `max_halvings` times; its fit then has a sum of squares of
         `FAILED`. Unless `judge` is true, a fit ends early, without convergence, if its expected
-        gain is below the fraction `contender_gain_share` of the largest gain.
+        gain is below the fraction `contender_gain_share` of the largest gain, which is `most` or
+        the gain of a fit.
         """
+        if not starts:
+            return []
         coarse = self.problem.coarse([current.theta])
         offset = [y - x[0] for y, x in zip(current.predicted, coarse, strict=True)]
         fits = [Estimate(self, x, tangents) for x in starts]
-        most = 0.0
         for _ in range(self.settings.max_estimate_steps):
             active = [x for x in fits if not x.done]
             if not active:
@@ -204,13 +298,17 @@ class Refits:
         group = effect_entries(self.entries)[name]
         own = np.isin(current.free, group)
         null = self.null(current.theta, group)
-        away = (current.theta - null)[group][np.isin(group, current.free)]
+        # Without the effect, its shape parameters are not fitted either: they are nuisances here.
+        strengths = np.array([i for i in group if not self.entries[i].is_shape])
+        strong = np.isin(current.free, strengths)
+        away = (current.theta - null)[strengths][np.isin(strengths, current.free)]
         A = summed(current.blocks)[0]
-        loss = away @ np.linalg.pinv(inverse(A)[np.ix_(own, own)]) @ away / current.inflation
+        loss = away @ np.linalg.pinv(inverse(A)[np.ix_(strong, strong)]) @ away / current.inflation
         if not loss < self.settings.removal_loss_factor * self.settings.min_gain:
             return None
         self.progress(f"refitting without {name}")
         less = self.fit(null, current.free[~own])
         gain = (less.square - current.square) / current.inflation
-        needed = self.settings.worth_naming(gain, self.sizes(less, current))
+        sizes = self.sizes(less, current)
+        needed = self.settings.worth_naming(gain, sizes, int(own.sum()))
         return less if less.converged and not needed else None

@@ -87,12 +87,15 @@ def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
                         "name": n,
                         "loss": a.loss,
                         "channels": a.sizes,
-                        "told_apart": settings.worth_naming(a.loss, a.sizes),
+                        "told_apart": a.is_excluded(settings),
                     }
                     for n, a in round_.alternatives.items()
                 ],
-                "parameters": {p: _interval(outcome, x.name, p) for p in kind.priors()},
+                "parameters": {
+                    p: _interval(outcome, x.name, p) for p in kind.priors() | kind.shapes()
+                },
                 "where": kind.place(),
+                "segments": list(kind.segments),
                 "channels": {c: share for c, share in refit.sizes.items() if share > 1e-4},
                 "gain": refit.gain,
             }

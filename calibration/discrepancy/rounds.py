@@ -59,6 +59,19 @@ class Alternative(NamedTuple):
     """Increase of the whitened sum of squares, divided by the final fit's mean square."""
     sizes: dict[str, float]
     """rms difference between the readings of the two fits, as a fraction of each channel's rms."""
+    fewer: int = 0
+    """Number of fitted parameters that this fit has fewer than the final fit."""
+
+    def is_excluded(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
+        """Returns whether the chosen effect fits better by at least the naming threshold.
+
+        The threshold allows for the parameters that only the chosen effect has.
+        """
+        return settings.worth_naming(self.loss, self.sizes, 1 + max(self.fewer, 0))
+
+    def is_better(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
+        """Returns whether the alternative fits better by at least the naming threshold."""
+        return settings.worth_naming(-self.loss, self.sizes, 1 + max(-self.fewer, 0))
 
 
 class Growth(NamedTuple):
@@ -118,12 +131,14 @@ def effect_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
 def scoring_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
     """Returns, for every effect, the indices of the parameters from which it is scored.
 
-    These are the parameters with a `Prior.start`, or all parameters if none has a `Prior.start`.
+    These are the parameters with a `Prior.start`, or, if none has a `Prior.start`, all parameters
+    except shape parameters.
     """
     found = {}
     for name, group in effect_entries(entries).items():
         started = [i for i in group if entries[i].prior.start is not None]
-        found[name] = np.array(started) if started else group
+        strengths = [i for i in group if not entries[i].is_shape]
+        found[name] = np.array(started or strengths)
     return found
 
 

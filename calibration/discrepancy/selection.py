@@ -10,9 +10,10 @@ missing, a wrong effect that resembles both can explain more than either missing
 Zhang, T. (2011), Adaptive forward-backward greedy algorithm for learning sparse representations,
 IEEE Trans. Inf. Theory 57, 4689-4708.
 
-If the fit of a chosen effect ends at an edge of its prior range, the range becomes wider
-(`ranges`). After the selection, alternatives that fit better replace the chosen effects
-(`alternatives`).
+The shape parameters of a chosen effect are fitted too. If the fit of a chosen effect ends at an
+edge of a prior range, the range becomes wider (`ranges`). At the end of the selection, shape
+parameters that the data do not determine return to their defaults. Alternatives that fit better
+then replace the chosen effects (`alternatives`).
 """
 
 from collections.abc import Callable, Sequence
@@ -25,8 +26,14 @@ from calibration.discrepancy.alternatives import (
     equivalent_effects,
     judge_alternatives,
 )
-from calibration.discrepancy.ranges import widen_ranges
-from calibration.discrepancy.refits import FitStart, Refits, effect_tangents, initial_theta
+from calibration.discrepancy.ranges import fix_undetermined_shapes, widen_ranges
+from calibration.discrepancy.refits import (
+    FitStart,
+    Refits,
+    Tangents,
+    effect_tangents,
+    initial_theta,
+)
 from calibration.discrepancy.rounds import (
     Refit,
     Selection,
@@ -39,7 +46,7 @@ from calibration.discrepancy.rounds import (
 from calibration.discrepancy.scores import Score, score
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.problem import FAILED, AbstractProblem, normal_equations
+from calibration.inference.problem import FAILED, AbstractProblem, ChannelBlock, normal_equations
 from calibration.model.extended import BASE, Parameter
 from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import LIBRARY
@@ -56,14 +63,14 @@ def select_effects(
     """Selects the effects that the base model with the fitted parameters `base_names` lacks."""
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
-    first = fit_gauss_newton(problem, entries, theta, free, progress, exact=False)
+    first = fit_gauss_newton(problem.on_coarse_mesh(), entries, theta, free, progress, exact=False)
     white = problem.whiteners(first.predicted)
-    base = fit_gauss_newton(problem, entries, first.theta, free, progress, white)
+    base = fit_gauss_newton(problem, entries, first.theta, free, progress, white, exact=False)
     refits = Refits(problem, entries, white, progress, settings)
     found = Selection(base, base, [], [], settings, entries)
     for swaps in range(settings.max_swaps + 1):
-        refits = _add(refits, found)
-        judge_alternatives(refits, found)
+        refits, tangents = _add(refits, found)
+        judge_alternatives(refits, found, tangents)
         swap = better_alternative(found)
         if swap is None or swaps == settings.max_swaps:
             break
@@ -88,22 +95,32 @@ def _widen(refits: Refits, found: Selection) -> Refits:
         return replace(refits, entries=entries).fit(fit.theta, fit.free)
 
     progress = refits.progress
-    found.final = widen_ranges(found, found.final, refit)
+    found.final = widen_ranges(found, refits.freed(found.final, found.effects), refit)
     return replace(refits, entries=found.entries)
 
 
-def _add(refits: Refits, found: Selection) -> Refits:
+def _fix_shapes(refits: Refits, found: Selection) -> None:
+    """Fixes the shape parameters that the data do not determine at their defaults."""
+
+    def refit(fit: Fit, entries: Sequence[Parameter]) -> Fit:
+        refits.progress("refitting with an undetermined shape parameter at its default")
+        return refits.fit(fit.theta, fit.free)
+
+    found.final = fix_undetermined_shapes(found, found.final, refit)
+
+
+def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
     """Adds one effect in each round until no candidate exceeds the naming threshold.
 
-    Returns the refits with the prior ranges of the added effects.
+    Returns the refits with the prior ranges of the added effects, and the last whitened tangents.
     """
-    settings = refits.settings
+    settings, tangents = refits.settings, None
     while len(found.effects) < settings.max_effects and len(found.rounds) < settings.max_rounds:
         rest = [n for n in effect_entries(refits.entries) if _can_join(n, found.effects)]
         if not rest:
             break
         refits.progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
-        round_ = _round(refits, found.final, rest)
+        round_, tangents = _round(refits, found.final, rest, tangents)
         found.rounds.append(round_)
         if round_.chosen is None:
             break
@@ -111,7 +128,9 @@ def _add(refits: Refits, found: Selection) -> Refits:
         found.final = next(t.fit for t in round_.refitted if t.name == round_.chosen)
         refits = _widen(refits, found)
         _remove_unnecessary(refits, found, round_)
-    return _widen(refits, found)
+    refits = _widen(refits, found)
+    _fix_shapes(refits, found)
+    return refits, tangents
 
 
 def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:
@@ -136,16 +155,36 @@ def _can_join(name: str, effects: list[str]) -> bool:
     return name not in effects and LIBRARY[name].replaces_law not in taken
 
 
-def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
+def _scores(
+    refits: Refits, current: Fit, rest: Sequence[str], J: Tangents
+) -> tuple[list[Score], list[ChannelBlock]]:
+    """Returns the scores of the candidates `rest`, best first, and the normal equations."""
+    residuals = refits.problem.residuals(current.predicted, refits.white)
+    blocks = normal_equations(residuals, J)
+    unit, scored = current.inflation, scoring_entries(refits.entries)
+    scores = [
+        score(n, scored[n], current.free, blocks, unit, len(rest), refits.settings) for n in rest
+    ]
+    return sorted(scores, key=lambda s: -s.gain), blocks
+
+
+def _round(
+    refits: Refits, current: Fit, rest: Sequence[str], last: Tangents | None
+) -> tuple[SelectionStep, Tangents]:
+    """Returns a round of the selection and the whitened tangents of its scores.
+
+    `last` are the tangents of the round before. If no candidate nears the naming threshold with
+    them, no other tangents are computed.
+    """
     problem, entries, progress = refits.problem, refits.entries, refits.progress
-    settings = refits.settings
-    residuals = problem.residuals(current.predicted, refits.white)
+    settings, scored = refits.settings, scoring_entries(refits.entries)
+    if last is not None:
+        scores, _ = _scores(refits, current, rest, last)
+        if scores[0].gain < settings.distant_gain_share * settings.min_gain:
+            return SelectionStep(scores), last
     tangents = effect_tangents(problem, entries, current.theta, current.free, settings)
     J = problem.whitened(tangents, refits.white)
-    blocks = normal_equations(residuals, J)
-    unit, scored = current.inflation, scoring_entries(entries)
-    scores = [score(n, scored[n], current.free, blocks, unit, len(rest), settings) for n in rest]
-    scores.sort(key=lambda s: -s.gain)
+    scores, blocks = _scores(refits, current, rest, J)
     round_, candidates, starts = SelectionStep(scores), [], []
     for s in _short_list(scores, refits, scored):
         pairs = zip(current.predicted, tangents, strict=True)
@@ -159,7 +198,7 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
             starts.append(FitStart(theta, free, current.theta))
     if candidates:
         progress(f"refitting with each of: {', '.join(s.name for s in candidates)}")
-    for s, fit in zip(candidates, refits.estimated(current, starts, J), strict=True):
+    for s, fit in zip(candidates, refits.raced(current, starts, J), strict=True):
         if fit.square < FAILED:
             round_.refitted.append(_refit(refits, current, s, fit))
         else:
@@ -175,26 +214,28 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
             round_.chosen = best.name
             round_.equivalent = equivalent_effects(best, round_, scored, current, blocks, settings)
             break
-    return round_
+    return round_, J
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
-    """Returns the candidates to refit: the best scored by tangents, and the best by secants."""
+    """Returns the candidates to refit: the best scored by tangents, by secants, and with shapes.
+
+    A candidate with shape parameters is scored at their defaults.
+    """
     entries, settings = refits.entries, refits.settings
-    best = scores[0].gain
-
-    def best_of(least: float, finite: bool) -> list[Score]:
-        found = [s for s in scores if s.p < settings.false_alarm_p and s.gain > least * best]
-        kind = [s for s in found if (entries[scored[s.name][0]].prior.start is not None) == finite]
-        return kind[: settings.short_list]
-
-    tangential = best_of(settings.min_score_share, False)
-    finite = best_of(settings.min_score_share_far, True)
-    return sorted([*tangential, *finite], key=lambda s: -s.gain)
+    shaped = {p.effect for p in entries if p.is_shape}
+    kinds: dict[tuple[bool, bool], list[Score]] = {}
+    for s in scores:
+        kind = s.name in shaped, entries[scored[s.name][0]].prior.start is not None
+        share = settings.min_score_share_far if any(kind) else settings.min_score_share
+        if s.p < settings.false_alarm_p and s.gain > share * scores[0].gain:
+            kinds.setdefault(kind, []).append(s)
+    best = [s for found in kinds.values() for s in found[: settings.short_list]]
+    return sorted(best, key=lambda s: -s.gain)
 
 
 def _refit(refits: Refits, current: Fit, s: Score, fit: Fit) -> Refit:
     gain = (current.square - fit.square) / fit.inflation
     sizes = refits.sizes(current, fit)
-    named = refits.settings.worth_naming(gain, sizes)
+    named = refits.settings.worth_naming(gain, sizes, len(fit.free) - len(current.free))
     return Refit(s.name, fit, gain, sizes, agreement(s.left_out), named)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from scipy.stats import chi2
+
 from slider_jax.channels import CHANNELS
 
 
@@ -22,15 +24,21 @@ class SelectionSettings:
     """The loop refits a candidate only if the p-value of the candidate's score is below this value.
     The p-value, `Score.p`, is corrected for the number of candidates."""
     short_list: int = 5
-    """A round refits at most this many candidates scored by tangents, and as many by secants."""
+    """A round refits at most this many candidates scored by tangents, as many by secants, and as
+    many with shape parameters."""
     min_score_share: float = 0.5
     """The loop refits a candidate only if its score exceeds this fraction of the best score."""
     min_score_share_far: float = 0.2
-    """Value of `min_score_share` for candidates that are scored with a secant (`Prior.start`). This
-    value is smaller because a score from a secant is less accurate."""
+    """Value of `min_score_share` for candidates that are scored with a secant (`Prior.start`) and
+    for candidates with shape parameters. This value is smaller because a score from a secant or
+    with the default of a shape parameter is less accurate."""
     naming_share: float = 0.7
     """The loop refits a candidate only if its predicted change of a channel exceeds this fraction
     of the channel's model-discretisation discrepancy. It is below 1: the prediction is linear."""
+    distant_gain_share: float = 0.5
+    """A round ends the selection if every candidate's gain is below this fraction of `min_gain`
+    with the tangents of the round before. These tangents are nearly those of the round, and save
+    the longest computation of most selections."""
     visible_share: float = 1e-3
     """Cross-validation omits the trials that a candidate hardly changes. A trial is used if its sum
     of squared changes is at least this fraction of the largest such sum of any trial."""
@@ -39,7 +47,8 @@ class SelectionSettings:
     is at least this value."""
 
     min_gain: float = 20.0
-    """The loop adds a refitted candidate to the model only if its gain exceeds this value."""
+    """The loop adds a candidate with one fitted parameter to the model only if the candidate's gain
+    exceeds this value. `least_gain` returns the value for more parameters."""
     left_out_t: float = 2.0
     """Cross-validation confirms a candidate if the t-statistic of its log gains exceeds this value.
     As the only test, this threshold accepts 6 % of absent effects with five trials and 9 % with
@@ -59,6 +68,9 @@ class SelectionSettings:
     initial_step_share: float = 0.02
     """A refit starts at the step that the score predicts. For a parameter with a step of zero, the
     step is this fraction of the prior range, because a fit cannot leave a bound of the range."""
+    shape_factor: float = 3.0
+    """A refit with a shape parameter starts from the parameter's default, from the default times
+    this factor and from the default divided by this factor, inside the prior range."""
     max_estimate_steps: int = 12
     """Largest number of steps, including shortened ones, of a refit on the coarse mesh."""
     estimate_tolerance: float = 0.5
@@ -89,13 +101,21 @@ class SelectionSettings:
     """The mean must also exceed this multiple of its standard error. If models without and with the
     effect predict equally well, noise alone exceeds two standard errors in 2 % of the cases."""
 
-    def worth_naming(self, gain: float, sizes: dict[str, float]) -> bool:
-        """Returns whether an effect exceeds the naming threshold.
+    def least_gain(self, parameters: int = 1) -> float:
+        """Returns the gain that an effect with this number of fitted parameters must exceed.
 
-        The gain must exceed `min_gain`. The change of some channel must exceed that channel's
+        Noise alone exceeds this gain as rarely as it exceeds `min_gain` for one parameter.
+        """
+        return float(chi2.isf(chi2.sf(self.min_gain, 1), parameters))
+
+    def worth_naming(self, gain: float, sizes: dict[str, float], parameters: int = 1) -> bool:
+        """Returns whether an effect with this number of parameters exceeds the naming threshold.
+
+        The gain must exceed `least_gain`. The change of some channel must exceed that channel's
         model-discretisation discrepancy. `sizes` are rms changes, relative to each channel's rms.
         """
-        return gain > self.min_gain and any(sizes[c] > CHANNELS[c].discrepancy for c in sizes)
+        enough = gain > self.least_gain(parameters)
+        return enough and any(sizes[c] > CHANNELS[c].discrepancy for c in sizes)
 
 
 DEFAULT_SETTINGS = SelectionSettings()

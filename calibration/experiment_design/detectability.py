@@ -102,9 +102,9 @@ class DetectabilityMatrix:
 
 def required_gain(freedom: int, many: int) -> float:
     """Returns the gain that a candidate with `freedom` parameters needs among `many` candidates."""
-    return max(
-        DEFAULT_SETTINGS.min_gain, float(chi2.isf(DEFAULT_SETTINGS.false_alarm_p / many, freedom))
-    )
+    settings = DEFAULT_SETTINGS
+    chance = float(chi2.isf(settings.false_alarm_p / many, freedom))
+    return max(settings.least_gain(freedom), chance)
 
 
 def detectability_matrix(
@@ -128,7 +128,7 @@ def detectability_matrix(
         DetectionLimit(
             p,
             *_limit(channels, i, free, required_gain(len(indices[p.effect]), many)),
-            i in f.secants,
+            f.chosen[i] in f.secants,
         )
         for i, p in enumerate(entries)
         if p.effect and i in indices[p.effect]

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.inference.cache import Memo, cached
+from calibration.inference.gauss_newton import difference_step, takes_differences
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.measurements.records import Record, load_records
 from calibration.model.extended import BASE, Parameter, base_vector, model_parameters
@@ -26,6 +27,7 @@ from calibration.model.predict import (
     TrialPlan,
     on_all_cores,
     plan_trial,
+    predict_each,
     predict_readings,
     reading_tangents,
 )
@@ -140,15 +142,13 @@ class TrialInformation:
     def trial(self, trial: Trial, number: int = 0) -> list[ChannelInformation]:
         """Returns the information of a trial; raises `SolverError` if the simulation fails."""
         p = self.plan(trial)
-        y, J = self._readings(trial, p)
-        other = self._other(trial, p)
-        if not np.isfinite(y).all() or not (other is None or np.isfinite(other).all()):
+        y, J, *other = self._readings(trial, p)
+        if not all(np.isfinite(x).all() for x in (y, *other)):
             raise SolverError(
                 f"{trial.file}: the trial cannot be simulated with these parameters; check K_Q, "
                 "stiffness and amplitude: the bending moment may be too large for the body"
             )
-        if other is not None:
-            J = np.stack([*J, other - y])
+        J = np.stack([*J, *(x - y for x in other)])
         swing = declared_swing_spans(self.experiment, p, self.theta)
         found = []
         for channel, noise in self.sensing.noise.items():
@@ -163,24 +163,34 @@ class TrialInformation:
         return found
 
     def _readings(self, trial: Trial, p: TrialPlan) -> list[np.ndarray]:
-        """Returns readings (channels, n), tangents (k, channels, n); k = 0 if simulation fails."""
+        """Returns readings (channels, n), tangents (k, channels, n), readings of any second model.
+
+        k is 0 if the simulation fails. Differences replace the tangents along few directions.
+        """
+        others = [] if self.other is None else [self.other]
 
         def make() -> list[np.ndarray]:
-            y = predict_readings(p, self.theta)
+            if takes_differences(self.theta, self.chosen) and not self.secants:
+                found, J = self._differences(p, others)
+                return [found[0], J, *found[1:]]
+            y, *other = (predict_readings(p, x) for x in (self.theta, *others))
             finite = np.isfinite(y).all()
-            return [y, self._tangents(p, y) if finite else np.zeros((0, *y.shape))]
+            return [y, self._tangents(p, y) if finite else np.zeros((0, *y.shape)), *other]
 
         steps = np.array(sorted(self.secants.items()), float)
         name = f"foresee {trial.model_dump_json()} {self.effects} {self.coarse}"
-        return cached(self.memo, name, [self.theta, self.chosen, steps], make)
+        return cached(self.memo, name, [self.theta, self.chosen, steps, *others], make)
 
-    def _other(self, trial: Trial, p: TrialPlan) -> np.ndarray | None:
-        """Returns the readings (channels, n) of the second model; None without this model."""
-        other = self.other
-        if other is None:
-            return None
-        name = f"foresee other {trial.model_dump_json()} {self.effects} {self.coarse}"
-        return cached(self.memo, name, [other], lambda: [predict_readings(p, other)])[0]
+    def _differences(
+        self, p: TrialPlan, others: Sequence[np.ndarray]
+    ) -> tuple[list[np.ndarray], np.ndarray]:
+        """Returns the readings (channels, n) of all models, and derivatives (k, channels, n)."""
+        pairs = zip(self.chosen, self.entries, strict=True)
+        steps = np.array([difference_step(x, self.theta[i]) for i, x in pairs])
+        moved = self.theta + steps[:, None] * np.eye(len(self.theta))[self.chosen]
+        found = predict_each([(p, x) for x in (self.theta, *others, *moved)])
+        models = 1 + len(others)
+        return found[:models], (np.stack(found[models:]) - found[0]) / steps[:, None, None]
 
     def _tangents(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
         """Returns tangents or secants (k, channels, n); NaN where the simulation fails."""
@@ -218,6 +228,8 @@ def predict_information(
 ) -> TrialInformation:
     """Returns the `TrialInformation` of base parameters and `effects`, at the experiment's values.
 
+    Shape parameters have their defaults. They are not among the chosen parameters, because they
+    have no influence at the null of their effect.
     Raises `InputError` if the experiment has no fixed C_d and m_a, or declares no noise.
     """
     if experiment.parameters.force_coefficients == "ramp":
@@ -228,7 +240,8 @@ def predict_information(
     names = tuple(dict.fromkeys(effects))
     entries = model_parameters(names)
     theta = base_vector(entries, {n: getattr(experiment.parameters, n) for n in BASE})
-    chosen, sensing = np.arange(len(entries)), SensorModel.of(experiment)
+    chosen = np.flatnonzero([not p.is_shape for p in entries])
+    sensing = SensorModel.of(experiment)
     by_tangents = TrialInformation(experiment, names, theta, chosen, sensing, {}, coarse, memo)
     progress("comparing tangents with secants")
     return replace(by_tangents, secants=secant_steps(by_tangents))

@@ -35,7 +35,7 @@ from calibration.inference.uncertainty import discretisation_share
 from calibration.measurements.records import Record
 from slider_jax.errors import InputError, SolverError
 
-LOOP_EFFORT = SearchEffort(spread=12, rounds=1)
+LOOP_EFFORT = SearchEffort(spread=12, rounds=0)
 """Effort of the trial search at the end of the loop. The default effort would take too long."""
 Progress = Callable[[str], None]
 

@@ -83,7 +83,9 @@ def identify_parameters(
     base = base_vector(entries, base_values(experiment))
     initial = base.copy()
     for i, p in enumerate(entries):
-        if p.effect:  # the null may be a bound, and a fit that starts at a bound stays there
+        if (
+            p.effect and not p.is_shape
+        ):  # the null may be a bound, and a fit that starts at a bound stays there
             initial[i] += 0.02 * (p.prior.high - p.prior.low)
     progress("auditing the data")
     audited = audit_measurements(experiment, 1, lambda few: problem_of(few).predict(base))
@@ -93,8 +95,11 @@ def identify_parameters(
     before = problem.predict(base)
     if method == "auto":
         method = "lbfgs" if len(entries) >= LBFGS_PARAMETERS else "lm"
-    best = METHODS[method](problem, entries, initial, np.arange(len(entries)), progress)
-    best = hausman_check(problem, best)
+    strengths = np.flatnonzero([not p.is_shape for p in entries])
+    best = METHODS[method](problem, entries, initial, strengths, progress)
+    if len(strengths) < len(entries):  # the size of an effect determines how its shape acts
+        best = METHODS[method](problem, entries, best.theta, np.arange(len(entries)), progress)
+    best = hausman_check(problem, entries, best)
     proposals = propose_trials(experiment, entries, problem, best, coarse, progress)
     found = experiment, entries, problem, before, best, method, proposals, audited.findings
     return Identified(*found, residual_warning(problem, best))

@@ -120,9 +120,8 @@ def compare_ties(
         progress(f"fitting {ties.name.replace('_', ' ')} values")
         mapped = replace(problem, maps=ties.maps)
         free = np.arange(len(ties.entries))
-        fit = hausman_check(
-            mapped, fit_gauss_newton(mapped, ties.entries, ties.start, free, progress, white)
-        )
+        fit = fit_gauss_newton(mapped, ties.entries, ties.start, free, progress, white)
+        fit = hausman_check(mapped, ties.entries, fit)
         squares = None
         if len(at) >= MIN_FREQUENCIES:
             squares = _left_out(mapped, ties, fit, at, place, white)

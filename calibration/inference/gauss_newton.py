@@ -4,7 +4,8 @@ Each iteration simulates the readings of the trials. Optimistix's Levenberg-Marq
 the linearised sum of squares within the bounds. A step that does not lower the sum of squares is
 shortened. The derivatives (tangents) of the readings with respect to the free parameters take much
 more time than the readings. A successful step therefore keeps the tangents and corrects them with
-Broyden's formula. New tangents are computed after a bad step and at the end of the fit.
+Broyden's formula. New tangents are computed after a bad step and at the end of the fit. If few
+entries are free, differences of readings replace the tangents.
 
 Source: Broyden, C. G. (1965), A class of methods for solving nonlinear simultaneous equations,
 Math. Comp. 19, 577-593.
@@ -28,6 +29,7 @@ from calibration.inference.problem import (
     total,
 )
 from calibration.model.extended import Parameter
+from slider_jax.channels import row_of
 
 MAX_ITERATIONS = 40
 """Most fits need 4 to 8 iterations. Fits need more if an effect replaces a part of the model."""
@@ -38,9 +40,11 @@ GAIN_TOLERANCE = 0.02
 """A fit ends if the next step would lower the sum of squares by less than this multiple of the
 residual's mean square. The parameters are then within 1/7 standard error of the optimum."""
 FEW, DIFFERENCE = 3, 1e-4
-"""A fit of less than one in `FEW` entries starts with differences instead of tangents. All tangents
-are computed together, so a few of them are dear. A difference is for a change of a parameter by the
-fraction `DIFFERENCE` of its prior range."""
+"""Derivatives are differences instead of tangents if less than one in `FEW` entries is free. All
+tangents are computed together, so a few of them are dear. A difference is for a change of a
+parameter by the fraction `DIFFERENCE` of its prior range."""
+FRESH_DISTANCE = 0.3
+"""Derivatives count as new until the parameters have moved by this many standard errors."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Fractions of a step that are tried in this order."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
@@ -154,16 +158,16 @@ def fit_gauss_newton(
     If `exact` is false, the fit may end with tangents from differences and Broyden's formula.
     """
     bounds = Bounds.of([entries[i] for i in free])
-    directions = np.eye(len(theta))[free]
     predicted = problem.predict(theta)
     white = problem.whiteners(predicted) if white is None else white
     residuals = problem.residuals(predicted, white)
     square, converged = total(residuals), False
     samples = sum(len(r) for r in residuals.values())
-    J, fresh = _differences(problem, entries, theta, free, white), False
+    J, fresh, origin = None, True, theta
     for iteration in range(MAX_ITERATIONS):
         if J is None:
-            J, fresh = problem.whitened(problem.tangents(theta, directions), white), True
+            J = problem.whitened(reading_derivatives(problem, entries, theta, free), white)
+            fresh, origin = True, theta
         blocks = normal_equations(residuals, J)
         A, b = summed(blocks)
         if not (np.isfinite(A).all() and np.isfinite(b).all()):
@@ -174,7 +178,8 @@ def fit_gauss_newton(
         enough = unit * (GAIN_TOLERANCE if unit < POOR_FIT else ROUGH_GAIN_TOLERANCE)
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
         if abs(expected) < enough:
-            if fresh or not exact:
+            moved = (theta - origin)[free]
+            if fresh or not exact or moved @ A @ moved < FRESH_DISTANCE**2 * unit:
                 converged = True
                 break
             J = None
@@ -203,29 +208,33 @@ def fit_gauss_newton(
     return Fit(theta, np.asarray(free), square, samples, blocks, predicted, converged)
 
 
-def _differences(
-    problem: AbstractProblem,
-    entries: Sequence[Parameter],
-    theta: np.ndarray,
-    free: np.ndarray,
-    white: dict[tuple[int, str], Whitener],
-) -> dict[tuple[int, str], np.ndarray] | None:
-    """Returns whitened derivatives from differences of readings, or None.
+def reading_derivatives(
+    problem: AbstractProblem, entries: Sequence[Parameter], theta: np.ndarray, free: np.ndarray
+) -> list[np.ndarray]:
+    """Returns each trial's derivatives (k, channels, samples) of the readings by `free` entries.
 
-    The result is None if most entries are free, since tangents then take less time, or if a
-    difference is not finite.
+    They are differences if few entries are free and if all differences are finite. Otherwise they
+    are tangents.
     """
-    if len(theta) < FEW * len(free):
-        return None
-    others, steps = [], []
-    for i in free:
-        prior = entries[i].prior
-        step = DIFFERENCE * (prior.high - prior.low)
-        steps.append(step if theta[i] + step < prior.high else -step)
-        others.append(theta + steps[-1] * np.eye(len(theta))[i])
-    changes = problem.secants(theta, others)
-    J = problem.whitened([x / np.array(steps)[:, None, None] for x in changes], white)
-    return J if all(np.isfinite(x).all() for x in J.values()) else None
+    unit = np.eye(len(theta))[free]
+    if takes_differences(theta, free):
+        steps = np.array([difference_step(entries[i], theta[i]) for i in free])
+        changes = problem.secants(theta, list(theta + steps[:, None] * unit))
+        rows = [row_of(channel) for channel in problem.channels]
+        if all(np.isfinite(x[:, rows]).all() for x in changes):
+            return [x / steps[:, None, None] for x in changes]
+    return problem.tangents(theta, unit)
+
+
+def takes_differences(theta: np.ndarray, free: np.ndarray) -> bool:
+    """Returns whether differences take less time than tangents along the `free` entries."""
+    return len(theta) >= FEW * len(free)
+
+
+def difference_step(p: Parameter, value: float) -> float:
+    """Returns the change of a parameter for a difference, away from the nearer end of the range."""
+    step = DIFFERENCE * (p.prior.high - p.prior.low)
+    return step if value + step < p.prior.high else -step
 
 
 def broyden_update(

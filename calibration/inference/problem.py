@@ -10,7 +10,7 @@ Fits, cross-validation and equivalence classes are computed from sums of A, b an
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, final
 
@@ -20,7 +20,7 @@ from calibration.inference.cache import Memo, cached
 from calibration.inference.measured_noise import ChannelNoise
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.measurements.records import Record
-from calibration.model.extended import base_values, base_vector, model_parameters
+from calibration.model.extended import acting_entries, base_values, base_vector, model_parameters
 from calibration.model.initial_swing import swing_spans
 from calibration.model.predict import (
     COARSE,
@@ -106,6 +106,10 @@ class AbstractProblem(ABC):
 
     @abstractmethod
     def _coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]: ...
+
+    def on_coarse_mesh(self) -> "AbstractProblem":
+        """Returns this problem with the mesh of the tangents for all simulations."""
+        return self
 
     @abstractmethod
     def spans(self) -> list[np.ndarray] | None:
@@ -252,6 +256,10 @@ class TankProblem(AbstractProblem):
             swing=swing,
         )
 
+    def on_coarse_mesh(self) -> "TankProblem":
+        # The names of cached readings do not contain the mesh.
+        return replace(self, fine=self.coarse_plans, memo=None)
+
     def spans(self) -> list[np.ndarray] | None:
         return self._spans
 
@@ -303,12 +311,21 @@ class TankProblem(AbstractProblem):
         """Returns the derivatives with respect to every entry; the last result is kept.
 
         A fit and the scoring after the fit need different entries at the same `theta`. One program
-        for all entries is compiled faster than a second program.
+        for all entries is compiled faster than a second program. Shape parameters of effects at
+        their null have the derivative zero.
         """
         key = theta.tobytes()
         if key not in self._last:
-            unit = np.eye(len(theta))
-            found = on_all_cores(lambda p: reading_tangents(p, theta, unit), self.coarse_plans)
+            entries = model_parameters(self.coarse_plans[0].extended.effects)
+            acting = acting_entries(entries, theta)
+            unit = np.eye(len(theta))[acting]
+
+            def one(p: TrialPlan) -> np.ndarray:
+                along = np.zeros((len(theta), len(CHANNELS), len(p.at)))
+                along[acting] = reading_tangents(p, theta, unit)
+                return along
+
+            found = on_all_cores(one, self.coarse_plans)
             self._last.clear()
             self._last[key] = found
         return self._last[key]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm
 
-from calibration.inference.gauss_newton import Fit, inverse
+from calibration.inference.gauss_newton import Fit, inverse, reading_derivatives
 from calibration.inference.intervals import correlation_time
 from calibration.inference.problem import AbstractProblem, summed
 from calibration.inference.whiteness import FALSE_ALARM_P, whiteness_tests
@@ -50,7 +50,7 @@ def confidence_interval(
     return value, value - 1.96 * error, value + 1.96 * error
 
 
-def hausman_check(problem: AbstractProblem, fit: Fit) -> Fit:
+def hausman_check(problem: AbstractProblem, entries: Sequence[Parameter], fit: Fit) -> Fit:
     """Returns the fit with `difference` and `widening` from Hausman's test.
 
     The test gives the forces a very large tare, so that their means have no influence, and takes
@@ -68,7 +68,7 @@ def hausman_check(problem: AbstractProblem, fit: Fit) -> Fit:
         for key, x in problem.noise.items()
     }
     freed = replace(problem, noise=noise)
-    along = problem.tangents(fit.theta, np.eye(len(fit.theta))[fit.free])
+    along = reading_derivatives(problem, entries, fit.theta, fit.free)
     (A, b), (own_A, own_b) = (_normal(x, fit, along) for x in (freed, problem))
     if not (np.isfinite(A).all() and np.isfinite(own_A).all()):
         return fit
@@ -178,7 +178,12 @@ def unstable_parameters(fit: Fit, entries: Sequence[Parameter]) -> list[Instabil
 
 
 def determined(p: Parameter, low: float, high: float) -> bool:
-    """Returns whether the interval `low` to `high` is narrower than half the prior range."""
+    """Returns whether the interval `low` to `high` is narrower than half the prior range.
+
+    Logarithms are compared for a positive shape parameter, because its range covers magnitudes.
+    """
+    if p.is_shape and p.prior.low > 0.0:
+        return low > 0.0 and (high / low) ** 2 < p.prior.high / p.prior.low
     return high - low < 0.5 * (p.prior.high - p.prior.low)
 
 

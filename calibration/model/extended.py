@@ -34,6 +34,8 @@ class Parameter(NamedTuple):
     effect: str
     name: str
     prior: Prior
+    is_shape: bool = False
+    """Whether the entry is a shape parameter; `prior.null` is then the parameter's default."""
 
     @property
     def label(self) -> str:
@@ -41,13 +43,29 @@ class Parameter(NamedTuple):
 
 
 def model_parameters(effects: Sequence[str]) -> list[Parameter]:
-    """Returns the entries of the parameter vector: base parameters, then those of `effects`."""
-    base = [Parameter("", name, prior) for name, prior in BASE.items()]
-    return base + [
-        Parameter(effect, name, prior)
-        for effect in effects
-        for name, prior in LIBRARY[effect].priors().items()
-    ]
+    """Returns the entries of the parameter vector: base parameters, then those of `effects`.
+
+    The shape parameters of an effect follow the effect's other parameters.
+    """
+    found = [Parameter("", name, prior) for name, prior in BASE.items()]
+    for effect in effects:
+        kind = LIBRARY[effect]
+        found += [Parameter(effect, name, prior) for name, prior in kind.priors().items()]
+        found += [Parameter(effect, name, prior, True) for name, prior in kind.shapes().items()]
+    return found
+
+
+def acting_entries(entries: Sequence[Parameter], theta: np.ndarray) -> np.ndarray:
+    """Returns the indices of all entries except the shape parameters of effects at their null.
+
+    These shape parameters have no influence on the readings.
+    """
+    present = {
+        p.effect
+        for p, x in zip(entries, theta, strict=True)
+        if not p.is_shape and x != p.prior.null
+    }
+    return np.array([i for i, p in enumerate(entries) if not p.is_shape or p.effect in present])
 
 
 def candidate_effects() -> list[str]:
@@ -90,13 +108,16 @@ class ExtendedModel(eqx.Module):
 
     def _effect(self, name: str, values) -> Effect:
         kind = LIBRARY[name]
-        given = {p: values[name, p] for p in kind.priors()}
+        given = {p: values[name, p] for p in kind.priors() | kind.shapes()}
         known = {f.name for f in fields(kind)}
         return kind(**{n: x for n, x in self.conditions.items() if n in known} | given)
 
 
 def base_vector(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:
-    """Returns the parameter vector with the base parameters `base` and every effect at its null."""
+    """Returns the parameter vector with the base parameters `base` and every effect at its null.
+
+    Shape parameters have their defaults.
+    """
     return np.array([p.prior.null if p.effect else base[p.name] for p in entries])
 
 

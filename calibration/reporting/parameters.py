@@ -20,9 +20,14 @@ def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict
     """Returns the JSON record of the parameter `entries[index]`: value, 95 % interval and unit.
 
     If the data do not determine the parameter, its value is None and its interval is limited to
-    the prior range.
+    the prior range. An entry that was not fitted is such a parameter; `fixed_at` is its value.
     """
-    p, (value, low, high) = entries[index], confidence_interval(fit, entries, index)
+    p = entries[index]
+    if index not in fit.free:
+        record = {"value": None, "low": p.prior.low, "high": p.prior.high, "unit": p.prior.unit}
+        fixed_at = float(fit.theta[index])
+        return record | {"not_determined_by_these_data": True, "fixed_at": fixed_at}
+    value, low, high = confidence_interval(fit, entries, index)
     record = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
     if not determined(p, low, high):
         low, high = (float(np.clip(x, p.prior.low, p.prior.high)) for x in (low, high))
@@ -35,8 +40,14 @@ def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict
 def parameter_text(x: dict[str, Any]) -> str:
     """Returns a `parameter_record` as text: value and 95 % interval."""
     within = f"({x['low']:.4g} to {x['high']:.4g}) {x['unit']}"
-    value = "not determined by these data" if x["value"] is None else f"{x['value']:.4g}"
+    value = undetermined(x) if x["value"] is None else f"{x['value']:.4g}"
     return f"{value}  {within}" + (f"; {widened(x)}" if "by_variation_alone" in x else "")
+
+
+def undetermined(x: dict[str, Any]) -> str:
+    """Returns the text in place of the value of an undetermined parameter."""
+    fixed = f", fixed at {x['fixed_at']:.4g}" if "fixed_at" in x else ""
+    return f"not determined by these data{fixed}"
 
 
 def widened(x: dict[str, Any]) -> str:

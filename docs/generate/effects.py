@@ -66,7 +66,8 @@ def pages() -> dict[str, str]:
         "",
         "If a parameter has its null value, the effect vanishes. Calibration searches a parameter",
         "within its prior range. A shape parameter, such as a time constant, has no influence",
-        "while the other parameters of the effect have their null values.",
+        "while the other parameters of the effect have their null values. `slider close-loop` fits",
+        "the shape parameters of the effects that it adds.",
         "[Adding an effect](../how-to/adding_an_effect.md) explains how to write a new effect.",
         "",
     ]

@@ -29,6 +29,8 @@ def prepare_jax() -> None:
     """
     # During long compilations XLA logs a warning that looks like an error. Real errors are raised.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    # Commands give each core a thread of their own. Further threads of BLAS would only compete.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from slider_jax.precision import enable_float64
 
     enable_float64()

@@ -56,13 +56,21 @@ def parameter(
     return eqx.field(default=null, metadata={"prior": prior})
 
 
-def shape_parameter(value: float, low: float, high: float, unit: str, why: str) -> Any:
+def shape_parameter(
+    value: float,
+    low: float,
+    high: float,
+    unit: str,
+    why: str,
+    physical: tuple[float, float] = (-math.inf, math.inf),
+) -> Any:
     """Returns a field for a shape parameter of an effect. The field's default value is `value`.
 
     A shape parameter has no null. Its value has an influence only if the other parameters of the
-    effect differ from their nulls. A fit can identify a shape parameter after the effect is added.
+    effect differ from their nulls. The loop therefore fits it only after the effect is added.
     """
-    return eqx.field(default=value, metadata={"shape": Prior(value, low, high, unit, why)})
+    prior = Prior(value, low, high, unit, why, None, physical)
+    return eqx.field(default=value, metadata={"shape": prior})
 
 
 class Effect(eqx.Module):

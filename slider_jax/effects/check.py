@@ -246,7 +246,7 @@ def _check_class(kind: type[Effect], where: str, homes: Mapping[str, str]) -> No
                     f"{where}.{name}: given {noun} {prior.null:g}{start}, prior {prior.low:g} to "
                     f"{prior.high:g}; allowed are low < high, and {noun} and start in this range"
                 )
-    for name, prior in kind.priors().items():
+    for name, prior in (kind.priors() | kind.shapes()).items():
         least, most = prior.physical
         if not least <= prior.low < prior.high <= most:
             raise InputError(
@@ -346,9 +346,14 @@ def _check_numbers(
             _require_finite(at_start, f"{where}: the value {text}", advice)
             _require_finite(tangent, f"{where}: the derivative {text}", advice)
         for i, name in enumerate(kind.shapes(), start=len(priors)):
-            _, tangent = with_tangent(halfway, moving, i)
             text = f"{where}: the derivative with respect to the shape parameter {name}"
-            _require_finite(tangent, f"{text} in the middle of the prior range", advice)
+            # The loop multiplies the derivative at the null by zero, so this must be finite too.
+            for values, at in (
+                (null, "at the null"),
+                (halfway, "in the middle of the prior range"),
+            ):
+                _, tangent = with_tangent(values, moving, i)
+                _require_finite(tangent, f"{text} {at}", advice)
         _require_null(found, sizes, kind, where)
 
 

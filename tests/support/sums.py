@@ -45,6 +45,9 @@ class Sums:
     def residuals(self, predicted, white):
         return {(i, "tip"): self.y[i] - predicted[i][4] for i in range(TRIALS)}
 
+    def on_coarse_mesh(self):
+        return self
+
     def coarse(self, thetas):
         return [np.stack(x) for x in zip(*(self.predict(theta) for theta in thetas), strict=True)]
 

@@ -44,7 +44,7 @@ class OrificeFlow(Flow):
     )
     """p_s, gauge pressure of the supply."""
     critical: Scalar = shape_parameter(
-        0.3, 0.1, 0.6, "-", "0.2 to 0.5 for valves, 0.528 for a nozzle"
+        0.3, 0.1, 0.6, "-", "0.2 to 0.5 for valves, 0.528 for a nozzle", physical=(0.0, 0.95)
     )
     """b, critical pressure ratio of psi."""
 

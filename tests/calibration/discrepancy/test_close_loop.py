@@ -147,6 +147,25 @@ def test_wrong_declared_noise_keeps_the_verdict_and_a_hum_is_reported(tmp_path):
         assert x.amplitude == pytest.approx(0.02, rel=0.3)
 
 
+@pytest.mark.slow
+def test_an_effect_with_another_shape_is_identified_with_its_shape(tmp_path):
+    """The default of kappa_c is 0.3. With this value, other effects would explain the data."""
+    truth = Truth(BASE, NULLS | {"internal_friction": {"z_c": 0.015, "kappa_c": 1.0}})
+    names = "internal_friction", "material_damping", "stress_relaxation", "body_stiffness"
+    path = write_tank(tmp_path / "friction", truth, RUNS, 1, numerics=TANK)
+    outcome = close_loop_on_trials(load(path), names, fine=MESH, coarse=MESH)
+    assert (outcome.verdict, outcome.effects) == ("identified", ["internal_friction"])
+    assert covers(outcome, "internal_friction.kappa_c", 1.0)
+    record = json.loads(json.dumps(loop_record(outcome, 1.0, SOURCE), default=float))
+    (effect,) = record["effects"]
+    shape = effect["parameters"]["kappa_c"]
+    assert shape["high"] - shape["low"] < 0.2 and effect["segments"] == ["body"]
+    assert "<td>internal_friction.kappa_c</td>" in loop_page(outcome, record)
+    (tmp_path / "model.toml").write_text(loop_model_toml(outcome))
+    (again,) = load(path, tmp_path / "model.toml").effects
+    assert again.kappa_c == pytest.approx(shape["value"], rel=1e-6)
+
+
 def test_too_few_trials_are_refused(tmp_path):
     path = write_experiment(tmp_path / "two", runs=DAMAGE_RUNS[:2])
     with pytest.raises(InputError, match="2 measured trials are usable"):

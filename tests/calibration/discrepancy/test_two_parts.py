@@ -70,6 +70,7 @@ def test_two_effects_of_which_one_is_beyond_its_prior_are_both_in_the_model():
     assert all(x["where"] is None for x in record["residual"]["channels"].values())
     assert "is outside its prior range of 0 to 0.4 kg/m (0.4 for water" in record["said"]
     assert record["said"].endswith("The residual is at the noise floor.")
+    assert "<td>body and tail</td>" in page and mass["segments"] == ["body", "tail"]
     assert "<td>beyond_prior</td>" in page and "0.4 for water in folds" in page
     assert model.count("[[effects]]") == 2 and "dm = 0." in model
     assert record["held_out"]["thrust"]["after"] < 0.5 * record["held_out"]["thrust"]["before"]

@@ -31,6 +31,7 @@ from slider_jax.channels import CHANNELS, row_of
 from slider_jax.cli.main import COMMANDS, find, main
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
+from tests.support import closed_form_tank
 from tests.support.experiments import write_small_experiment
 from tests.support.still_tank import EFFECTS, LIMITS, MESH, STILL
 
@@ -351,3 +352,14 @@ def test_the_distance_of_a_pair_is_the_smaller_least_squares_residual(sizes):
     both = residual(2, [0, 1, 3], sizes[0]), residual(3, [0, 1, 2], sizes[1])
     assert pair.sigmas == pytest.approx(min(both), rel=1e-9)
     assert min(both) < 0.5 * max(both)
+
+
+def test_shapes_have_no_detection_limit_and_do_not_shift_the_other_limits(monkeypatch):
+    closed_form_tank.replace_the_beam(monkeypatch)
+    experiment = closed_form_tank.experiment_of((2.0, 3.0))
+    names = ("internal_friction", "valve_deadband", "carried_mass")
+    found = detectability_matrix(experiment, names, coarse=closed_form_tank.MESH)
+    limits = {x.parameter.label: x for x in found.limits}
+    assert len(limits) == 3 and "internal_friction.kappa_c" not in limits
+    assert [x.finite for x in limits.values()] == [False, True, False]
+    assert all(np.isfinite(x.size) for x in limits.values())

@@ -27,7 +27,7 @@ from calibration.experiment_design.information import (
 )
 from calibration.experiment_design.next_experiment import next_experiment
 from calibration.experiment_design.trial_search import SearchEffort, limits_of
-from calibration.inference.gauss_newton import Fit
+from calibration.inference.gauss_newton import Fit, reading_derivatives
 from calibration.inference.goodness import Excess
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
@@ -66,7 +66,8 @@ def fitted(tank, theta, free, weight=1.0):
     predicted = [r.values for r in problem.records]
     white = problem.whiteners(predicted)
     residuals = problem.residuals(predicted, white)
-    blocks = problem.blocks(residuals, problem.tangents(theta, np.eye(len(theta))[free]), white)
+    derivatives = reading_derivatives(problem, ENTRIES, theta, free)
+    blocks = problem.blocks(residuals, derivatives, white)
     blocks = [x._replace(A=weight * x.A) for x in blocks]
     return Fit(theta, free, 0.0, sum(x.n for x in blocks), blocks, predicted, True)
 

@@ -1,6 +1,8 @@
 """`slider calibrate`: parameters of a simulated tank, from the command line."""
 
 import json
+import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from calibration.inference.problem import TankProblem
 from calibration.measurements.synthetic import Truth, random_trials, write_tank
 from calibration.model.predict import Resolution
 from slider_jax.cli.main import main
+from tests.support import closed_form_tank
 
 TRUTH = {"C_d": 3.0, "m_a": 0.8, "k": 0.075, "K_Q": 4.5e-7}
 COARSE_TANK = {"nodes": 13, "step": 2e-3, "scheme": "sdirk2"}
@@ -106,3 +109,17 @@ def test_unknown_names_are_refused(tank, tmp_path, capsys, arguments, message):
     assert main(["calibrate", str(tank), "--out", str(tmp_path / "out"), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_shape_parameters_of_the_given_effects_are_fitted_too(monkeypatch):
+    closed_form_tank.replace_the_beam(monkeypatch)
+    experiment = closed_form_tank.experiment_of((1.0, 2.0, 3.0))
+    truth = np.array([*TRUTH.values(), 0.02, 1.0])
+    records = closed_form_tank.measured(experiment, [truth] * 3, 0)
+    audited = SimpleNamespace(records=records, findings=[])
+    monkeypatch.setattr(identify, "audit_measurements", lambda *arguments: audited)
+    found = identify.identify_parameters(experiment, ("internal_friction",))
+    assert found.fit.free.tolist() == list(range(6)) and found.fit.converged
+    np.testing.assert_allclose(found.fit.theta[4:], truth[4:], atol=0.02)
+    (table,) = tomllib.loads(identify.identified_model(found))["effects"]
+    assert table["kappa_c"] == pytest.approx(found.fit.theta[5])

@@ -14,6 +14,7 @@ from calibration.inference.noise import (
     Noise,
     Whitener,
     _discrepancy_correlation,
+    _rounded,
     channel_noise,
     quantisation_step,
 )
@@ -49,7 +50,7 @@ def test_the_whitener_makes_declared_noise_white():
 def dense_root(t, noise, model, channel, frequency, spans=()):
     """Returns the Cholesky factor of the declared covariance, without any approximation."""
     lag = np.abs(t[:, None] - t)
-    scale = CHANNELS[channel].discrepancy * np.std(model)
+    scale = _rounded(CHANNELS[channel].discrepancy * np.std(model))
     cov = noise.slow**2 * np.exp(-lag / noise.slow_time)
     cov += scale**2 * _discrepancy_correlation(lag, frequency) + noise.tare**2
     for row in (CHANNELS[channel].gain * model, *spans):

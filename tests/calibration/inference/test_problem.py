@@ -3,12 +3,14 @@
 import numpy as np
 
 from calibration.discrepancy.refits import Refits
+from calibration.inference import problem
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.model.predict import Resolution
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.experiment.load import load
+from tests.support import closed_form_tank as tank
 from tests.support.experiments import write_small_experiment
 
 MESH = Resolution(11, 20, 1e-2)
@@ -21,7 +23,7 @@ def test_a_channel_that_no_trial_measures_is_no_evidence(tmp_path):
     readings = np.sin(20.0 * t) * np.ones((len(CHANNELS), 1))
     readings[[row_of("thrust"), row_of("recoil")]] = np.nan
     records = [Record(trial, t, readings) for trial in experiment.trials]
-    problem = TankProblem.of(experiment, records, (), fine=MESH, coarse=MESH)
+    measured = TankProblem.of(experiment, records, (), fine=MESH, coarse=MESH)
     before = [np.ones_like(readings) for _ in records]
     after = [x.copy() for x in before]
     for x in after:
@@ -30,5 +32,25 @@ def test_a_channel_that_no_trial_measures_is_no_evidence(tmp_path):
         Fit(np.zeros(0), np.zeros(0, int), 0.0, 0, [], predicted, True)
         for predicted in (before, after)
     )
-    sizes = Refits(problem, [], {}, print).sizes(first, second)
+    sizes = Refits(measured, [], {}, print).sizes(first, second)
     assert sizes == {"p_front": 0.0, "p_rear": 0.0, "tip": 0.0}
+
+
+def test_no_tangent_is_computed_for_the_shape_of_an_effect_at_its_null(monkeypatch):
+    tank.replace_the_beam(monkeypatch)
+    computed = []
+
+    def tangents(plan, theta, directions):
+        computed.append(len(directions))
+        return tank.tangents(plan, theta, directions)
+
+    monkeypatch.setattr(problem, "reading_tangents", tangents)
+    experiment = tank.experiment_of((2.0,))
+    theta = np.array([3.0, 0.7, 0.08, 4.5e-7, 0.0, 0.3])
+    records = tank.measured(experiment, [theta], 0)
+    found = tank.problem_of(experiment, records, ("internal_friction",))
+    (absent,) = found.tangents(theta, np.eye(6)[[5, 4]])
+    assert not absent[0].any() and absent[1].any()
+    theta[4] = 0.01
+    (present,) = found.tangents(theta, np.eye(6)[[5]])
+    assert present[0].any() and computed == [5, 6]

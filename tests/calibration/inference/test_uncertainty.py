@@ -69,7 +69,7 @@ def fitted(seed: int, varying: float = 1.0, late: float = 1.0, rho: float = 0.0,
     noise = {(i, "thrust"): Noise(0.05, tare=tare) for i in range(TRIALS)}
     problem = Drag(records=found, channels=("thrust",), noise=noise)
     fit = fit_gauss_newton(problem, ENTRIES, np.array([1.0]), np.arange(1))
-    return widen_by_correlation(problem, hausman_check(problem, fit))
+    return widen_by_correlation(problem, hausman_check(problem, ENTRIES, fit))
 
 
 def correlated(rng, rho):

@@ -85,6 +85,7 @@ def test_whitening_suppresses_a_known_shape_of_unknown_size():
     assert np.sum(other**2) > 1e3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "least", "most"), [(0.0, 5.0, np.inf), (1e-3, 0.0, 1.3)])
 def test_a_declared_swing_explains_the_residual_of_a_swinging_trial(tmp_path, size, least, most):
     experiment, p = planned(tmp_path, **{"sensors.tip_noise": 5e-5, "sensors.start_swing": size})

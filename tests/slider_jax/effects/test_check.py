@@ -52,8 +52,12 @@ BAD = {
         "WallFriction.segments: given 'body'; allowed a tuple of ('body', 'tail')",
     ),
     "infinite shape tangent": (
-        [("(1.0 + x.u_tau**2) ** self.exponent", "(1.0 + jnp.sqrt(self.exponent))")],
+        [("(1.0 + x.u_tau**2) **", "jnp.sqrt((5.0 - self.c) * (1.0 + self.exponent)) *")],
         "the derivative with respect to the shape parameter exponent in the middle of the prior",
+    ),
+    "infinite shape tangent at the null": (
+        [(PARAMETER, START), ("-self.c *", "-jnp.sqrt(self.c * (1.0 + self.exponent)) *")],
+        "the derivative with respect to the shape parameter exponent at the null",
     ),
     "start outside": (
         [(PARAMETER, START.replace("2.0", "20.0"))],

@@ -120,6 +120,7 @@ def test_a_smooth_drive_is_followed_at_any_rate_of_commands(tmp_path, rate):
     assert read_played(experiment, experiment.trials[0]).edges is None
 
 
+@pytest.mark.slow
 def test_forces_do_not_mind_where_between_steps_an_edge_falls(tmp_path):
     experiment = load(write_small_experiment(tmp_path)).with_values(
         {"numerics.nodes": 21, "numerics.step": 2e-3}

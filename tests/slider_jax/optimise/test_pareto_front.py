@@ -102,7 +102,8 @@ def test_the_front_of_known_hills_is_found(hills, tmp_path):
     assert dominated(found.points) == []
 
 
-@pytest.mark.parametrize("saves", [pytest.param(8, marks=pytest.mark.slow), 20])
+@pytest.mark.slow
+@pytest.mark.parametrize("saves", [8, 20])
 def test_an_interrupted_optimisation_resumes(hills, whole, tmp_path, monkeypatch, saves):
     """Stopped after any of its generations; the front is the same to the last bit."""
     kept, count = optimise._save, [0]
