@@ -42,7 +42,7 @@ from calibration.model.extended import (
     candidate_effects,
     model_parameters,
 )
-from calibration.model.predict import COARSE, FINE, Resolution
+from calibration.model.predict import COARSE, FINE, Resolution, background_thread
 from slider_jax.experiment.load import Experiment
 
 
@@ -143,7 +143,7 @@ def close_loop_on_trials(
     noise: dict[str, ChannelNoise] = {}
     weighed: dict[tuple[str, str], Noise] = {}
 
-    def problem_of(chosen: Sequence[Record]) -> AbstractProblem:
+    def problem_of(chosen: Sequence[Record]) -> TankProblem:
         problem = TankProblem.of(
             experiment, list(chosen), names, fine=fine, coarse=coarse, measured=noise
         )
@@ -157,18 +157,6 @@ def close_loop_on_trials(
     entries = model_parameters(names)
     base = base_values(experiment)
     initial = base_vector(entries, base)
-    progress("auditing the data")
-    audited = audit_measurements(
-        experiment,
-        settings.min_trials,
-        lambda few: problem_of(few).on_coarse_mesh().predict(initial),
-    )
-    for finding in audited.findings:
-        progress(str(finding))
-    noise |= measured_noises(experiment.sensors, audited.records)
-    for channel, x in noise.items():
-        if x.replaced:
-            progress(f"{channel}: the measured noise replaces the declared noise")
 
     def outcome_of(records: Sequence[Record]) -> LoopOutcome:
         held = choose_held_out(records, kept, settings)
@@ -176,24 +164,41 @@ def close_loop_on_trials(
             experiment, names, records, held, problem_of, base, tuple(BASE), progress, settings
         )
 
-    outcome = outcome_of(audited.records)
-    residuals = whitened_residuals(outcome.problem, outcome.final)
-    each = excess(outcome.problem, outcome.final, residuals)
-    trials = [r.trial for r in outcome.problem.records]
-    outlying = residual_outliers(trials, {c: x.trials for c, x in each.items()})
-    named = {x.trial for x in outlying}
-    rest = [r for r in audited.records if r.trial.file not in named]
-    if outlying and len(rest) >= settings.min_trials:
-        for finding in outlying:
+    with background_thread() as background:
+
+        def predict(few: Sequence[Record]) -> list[np.ndarray]:
+            # While the coarse mesh simulates, the other thread compiles the programs for later.
+            problem = problem_of(few)
+            for compile_programs in problem.compilations(initial):
+                background.submit(compile_programs)
+            return problem.on_coarse_mesh().predict(initial)
+
+        progress("auditing the data")
+        audited = audit_measurements(experiment, settings.min_trials, predict)
+        for finding in audited.findings:
             progress(str(finding))
-        outcome = outcome_of(rest)
+        noise |= measured_noises(experiment.sensors, audited.records)
+        for channel, x in noise.items():
+            if x.replaced:
+                progress(f"{channel}: the measured noise replaces the declared noise")
+        outcome = outcome_of(audited.records)
         residuals = whitened_residuals(outcome.problem, outcome.final)
-    tails = heavy_tails(residuals)
-    if tails:
-        progress(f"running again: the noise of {', '.join(tails)} has heavy tails")
-        weighed |= robust_noise(outcome.problem, residuals, tails)
-        noise |= {c: noise[c]._replace(freedom=x.freedom) for c, x in tails.items()}
-        outcome = outcome_of(outcome.problem.records)
+        each = excess(outcome.problem, outcome.final, residuals)
+        trials = [r.trial for r in outcome.problem.records]
+        outlying = residual_outliers(trials, {c: x.trials for c, x in each.items()})
+        named = {x.trial for x in outlying}
+        rest = [r for r in audited.records if r.trial.file not in named]
+        if outlying and len(rest) >= settings.min_trials:
+            for finding in outlying:
+                progress(str(finding))
+            outcome = outcome_of(rest)
+            residuals = whitened_residuals(outcome.problem, outcome.final)
+        tails = heavy_tails(residuals)
+        if tails:
+            progress(f"running again: the noise of {', '.join(tails)} has heavy tails")
+            weighed |= robust_noise(outcome.problem, residuals, tails)
+            noise |= {c: noise[c]._replace(freedom=x.freedom) for c, x in tails.items()}
+            outcome = outcome_of(outcome.problem.records)
     return replace(outcome, audit=[*audited.findings, *outlying], noise=noise)
 
 

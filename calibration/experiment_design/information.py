@@ -9,8 +9,8 @@ A is the normal matrix of least squares. From `raw` and `square`, `channel_share
 change of a channel relative to the rms of its readings.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,14 +56,23 @@ class SensorModel:
     """Number of samples per reading of a channel (2: every second sample has a reading)."""
     measured: dict[str, Record]
     """Measured trials by file name. The prediction uses the sample times of these trials."""
+    fitted: Mapping[tuple[str, str], Noise] = field(default_factory=dict)
+    """Noise of measured trials (file name and channel) in a fit."""
 
     @classmethod
-    def of(cls, experiment: Experiment, found: Sequence[Record] | None = None) -> "SensorModel":
+    def of(
+        cls,
+        experiment: Experiment,
+        found: Sequence[Record] | None = None,
+        fitted: Mapping[tuple[str, str], Noise] | None = None,
+    ) -> "SensorModel":
         """Returns the sensors of the measured trials `found`, or else the declared sensors.
 
         If `found` is None, the trials are read from their files. The declared sensors are used if
-        no trial is measured. Raises `InputError` if no channel has a sensor.
+        no trial is measured. `fitted` is the noise of measured trials in a fit (default: estimated
+        or declared). Raises `InputError` if no channel has a sensor.
         """
+        fitted = fitted or {}
         if found is None:
             there = any((experiment.folder / t.file).exists() for t in experiment.trials)
             found = load_records(experiment) if there else []
@@ -73,10 +82,13 @@ class SensorModel:
             key = CHANNELS[channel].noise
             if recorded:
                 each = [
-                    channel_noise(experiment.sensors, channel, r.values[row_of(channel)])
+                    fitted.get((r.trial.file, channel))
+                    or channel_noise(experiment.sensors, channel, r.values[row_of(channel)])
                     for r in recorded
                 ]
-                noise[channel] = sorted(each)[len(each) // 2]
+                whites = [float(np.median(x.white)) for x in each]
+                middle = int(np.argsort(whites)[len(each) // 2])
+                noise[channel] = each[middle]._replace(white=whites[middle])
                 share = np.mean([r.there(channel).mean() for r in recorded])
                 every[channel] = max(1, round(1.0 / float(share)))
             elif not found and key and getattr(experiment.sensors, key) > 0.0:
@@ -87,7 +99,11 @@ class SensorModel:
                 "sensors: no noise is declared and no trial is measured, so no detection limit can "
                 "be computed; add sensors.pressure_noise, force_noise or tip_noise"
             )
-        return cls(noise, every, {r.trial.file: r for r in found})
+        return cls(noise, every, {r.trial.file: r for r in found}, fitted)
+
+    def noise_of(self, trial: Trial, channel: str) -> Noise:
+        """Returns the noise of a channel in a trial."""
+        return self.fitted.get((trial.file, channel), self.noise[channel])
 
     def samples(self, trial: Trial, channel: str, n: int) -> np.ndarray:
         """Returns, for each sample (n,) of a trial, whether the channel has a reading."""
@@ -151,7 +167,8 @@ class TrialInformation:
         J = np.stack([*J, *(x - y for x in other)])
         swing = declared_swing_spans(self.experiment, p, self.theta)
         found = []
-        for channel, noise in self.sensing.noise.items():
+        for channel in self.sensing.noise:
+            noise = self.sensing.noise_of(trial, channel)
             row, here = row_of(channel), self.sensing.samples(trial, channel, len(p.at))
             if here.sum() < 20:
                 continue

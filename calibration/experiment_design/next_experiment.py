@@ -89,7 +89,9 @@ def _prediction(
 ) -> TrialInformation:
     names, problem = tuple(effect_entries(outcome.entries)), outcome.problem
     assert isinstance(problem, TankProblem)
-    sensing = SensorModel.of(outcome.experiment, _fitted(outcome))
+    files = [r.trial.file for r in problem.records]
+    noise = {(files[i], channel): x for (i, channel), x in problem.noise.items()}
+    sensing = SensorModel.of(outcome.experiment, _fitted(outcome), noise)
     return TrialInformation(
         outcome.experiment, names, theta, chosen, sensing, {}, problem.mesh, problem.memo, other
     )

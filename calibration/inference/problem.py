@@ -9,7 +9,7 @@ Fits, cross-validation and equivalence classes are computed from sums of A, b an
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, final
@@ -27,6 +27,8 @@ from calibration.model.predict import (
     FINE,
     Resolution,
     TrialPlan,
+    compile_readings,
+    compile_tangents,
     on_all_cores,
     plan_trial,
     predict_each,
@@ -259,6 +261,16 @@ class TankProblem(AbstractProblem):
     def on_coarse_mesh(self) -> "TankProblem":
         # The names of cached readings do not contain the mesh.
         return replace(self, fine=self.coarse_plans, memo=None)
+
+    def compilations(self, theta: np.ndarray) -> list[Callable[[], None]]:
+        """Returns calls that compile the programs of readings and tangents, in the order of use."""
+        i = int(np.argmin([p.grid.steps for p in self.fine]))
+        fine, coarse = self.fine[i], self.coarse_plans[i]
+        acting = acting_entries(model_parameters(coarse.extended.effects), theta)
+        return [
+            lambda: compile_readings(fine, theta),
+            lambda: compile_tangents(coarse, theta, np.eye(len(theta))[acting]),
+        ]
 
     def spans(self) -> list[np.ndarray] | None:
         return self._spans

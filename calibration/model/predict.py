@@ -1,8 +1,9 @@
 """Predicts a trial's readings, and their tangents (derivatives with respect to parameters)."""
 
 from collections import defaultdict
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from threading import Lock
 
@@ -407,6 +408,23 @@ def _moves_pressures(extended: ExtendedModel, directions: np.ndarray) -> np.ndar
     return np.any(directions[:, moving] != 0.0, axis=1)
 
 
+def compile_readings(p: TrialPlan, theta: np.ndarray) -> None:
+    """Compiles the programs of `predict_each` for trials like `p`, by a short simulation."""
+    _simulate([(_first_block(p), theta)] * LANES)
+
+
+def compile_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> None:
+    """Compiles the programs of `reading_tangents` for `directions` (k, entries)."""
+    order = np.argsort(_moves_pressures(p.extended, directions), kind="stable")
+    reading_tangents(_first_block(p), theta, directions[order[-rows_per_call(len(order)) :]])
+
+
+def _first_block(p: TrialPlan) -> TrialPlan:
+    """Returns the first time steps of a trial, which one call of the programs simulates."""
+    grid = replace(p.grid, steps=min(p.grid.steps, BLOCK))
+    return replace(p, grid=grid, at=p.at[: max(3, int(np.sum(p.at <= BLOCK * grid.h)))])
+
+
 def initial_state_tangents(
     p: TrialPlan, theta: np.ndarray, d_carry: Carry, initial: np.ndarray
 ) -> np.ndarray:
@@ -463,6 +481,12 @@ def _tangents_from(
     return _at_samples(p, read)
 
 
+def rows_per_call(k: int) -> int:
+    """Returns the number of directions in each call that computes a part of `k` tangents."""
+    calls = -(-k // MOST_DIRECTIONS)
+    return DIRECTIONS * -(-k // (DIRECTIONS * calls))
+
+
 def by_directions(function, directions: np.ndarray, kinds: np.ndarray | None = None) -> np.ndarray:
     """Returns `function(directions)` for `directions` (k, n), in calls of equal numbers of rows.
 
@@ -470,9 +494,8 @@ def by_directions(function, directions: np.ndarray, kinds: np.ndarray | None = N
     same kind, given by `kinds` (k,), are next to each other in these calls.
     """
     order = np.arange(len(directions)) if kinds is None else np.argsort(kinds, kind="stable")
-    calls = -(-len(directions) // MOST_DIRECTIONS)
-    rows = DIRECTIONS * -(-len(directions) // (DIRECTIONS * calls))
-    padded = np.zeros((calls, rows, directions.shape[1]))
+    rows = rows_per_call(len(directions))
+    padded = np.zeros((-(-len(directions) // rows), rows, directions.shape[1]))
     padded.reshape(-1, directions.shape[1])[: len(directions)] = directions[order]
     found = np.concatenate([np.asarray(function(block)) for block in padded])
     return found[np.argsort(order)]
@@ -482,3 +505,13 @@ def on_all_cores(work, items: list) -> list:
     """Returns `work(item)` for every item, in the order of `items`, with one thread per core."""
     with ThreadPoolExecutor(max_workers=available_cores()) as pool:
         return list(pool.map(work, items))
+
+
+@contextmanager
+def background_thread() -> Iterator[ThreadPoolExecutor]:
+    """Yields one thread for work that may be dropped; work that has not begun at the end is."""
+    pool = ThreadPoolExecutor(1)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
