@@ -1,5 +1,6 @@
 """Finds the channel, trial, setting, phase of the stride and frequency of a large residual."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,8 @@ from calibration.inference.goodness import Excess
 from calibration.measurements.records import Record
 from slider_jax.channels import row_of
 
+TREND_P = 0.05
+"""Probability that noise alone causes at least one reported trend (Bonferroni)."""
 PHASES = 8
 """Number of equal parts of a stride in which the squared residual is averaged."""
 
@@ -26,7 +29,7 @@ def locate_residuals(
     the mean squares of the whitened residual of every channel. For a residual with a pattern at the
     noise floor, the worst trial is the first trial with a pattern.
     """
-    found = []
+    found, level = [], TREND_P / (3 * len(left))
     for channel, x in left.items():
         if not x.above(noise_floor):
             continue
@@ -44,9 +47,11 @@ def locate_residuals(
                 "tow_speed_m_per_s": trials[worst].tow_speed,
                 "in_worst_trial": residual_timing(records[worst], channel, predicted[worst][row]),
                 "grows_with": {
-                    "frequency": significant_trend([t.frequency for t in trials], x.trials),
-                    "amplitude": significant_trend([t.amplitude for t in trials], x.trials),
-                    "tow_speed": significant_trend([abs(t.tow_speed) for t in trials], x.trials),
+                    "frequency": significant_trend([t.frequency for t in trials], x.trials, level),
+                    "amplitude": significant_trend([t.amplitude for t in trials], x.trials, level),
+                    "tow_speed": significant_trend(
+                        [abs(t.tow_speed) for t in trials], x.trials, level
+                    ),
                 },
                 "trials": {t.file: s for t, s in zip(trials, x.trials, strict=True)},
             }
@@ -93,17 +98,21 @@ def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
     return {"peak_Hz": float(hertz[peak]), "peak_share": min(float(share), 1.0)}
 
 
-def significant_trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None:
+def significant_trend(
+    settings: Sequence[float | None], squares: np.ndarray, level: float = TREND_P
+) -> float | None:
     """Returns the rank correlation of the trials' mean squares with one of the trials' settings.
 
-    Returns None for fewer than five trials or a p-value of 0.05 or more.
+    Returns None for fewer than five trials or a p-value of `level` or more. Of n! orders of the
+    trials, two have the correlation 1 or -1, so the p-value is at least 2/n!.
     """
     x = np.array([np.nan if s is None else s for s in settings], float)
     there = np.isfinite(x) & np.isfinite(squares)
     if there.sum() < 5 or np.ptp(x[there]) == 0.0 or np.ptp(squares[there]) == 0.0:
         return None
     found = spearmanr(x[there], squares[there])
-    return float(found.statistic) if found.pvalue < 0.05 else None
+    p = max(float(found.pvalue), 2.0 / math.factorial(int(there.sum())))
+    return float(found.statistic) if p < level else None
 
 
 def residual_text(x: dict[str, Any]) -> str:

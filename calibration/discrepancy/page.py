@@ -77,8 +77,9 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
             for name, x in known.items()
         ],
         widened=[(name, widened(x)) for name, x in known.items() if "by_variation_alone" in x],
-        min_t=settings.left_out_t,
-        max_p=settings.wilcoxon_p,
+        left_out_p=settings.left_out_p,
+        wilcoxon_p=settings.wilcoxon_p,
+        least_held_gain=settings.least_held_gain,
         refits=_refits(record["candidates"]),
         alternatives=_alternatives(record["effects"]),
         consequence=_consequence(record["consequence"]) if "consequence" in record else [],
@@ -140,7 +141,9 @@ def _refits(candidates: list[dict[str, Any]]) -> list[list[str]]:
         [
             f"{x['round']}: {x['name']}", f"{x['score']:.4g}", f"{x['explained']:.4g}",
             "yes" if x["worth_naming"] else "no",
-            f"{x['left_out_trials_agree']:.2g}", f"{x['left_out_trials_chance']:.2g}",
+            f"{x['left_out_trials_t_chance']:.2g}", f"{x['left_out_trials_chance']:.2g}",
+            "" if x["left_out_trials_least_gain"] is None
+            else f"{x['left_out_trials_least_gain']:.3g}",
             "chosen" if x["chosen"] else "",
         ]
         for x in sorted(rows, key=lambda x: (x["round"], -x["explained"]))

@@ -160,7 +160,11 @@ def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
             if s.name in refitted:
                 t = refitted[s.name]
                 row |= {"explained": t.gain, "sizes": t.sizes, "worth_naming": t.worth_naming}
-                row["left_out_trials_agree"], row["left_out_trials_chance"] = t.agreement
+                row |= {"left_out_trials_agree": t.agreement.t}
+                row |= {"left_out_trials_chance": t.agreement.rank_chance}
+                row |= {"left_out_trials_t_chance": t.agreement.t_chance}
+                least = t.agreement.least_gain
+                row |= {"left_out_trials_least_gain": least if np.isfinite(least) else None}
             rows.append(row | {"chosen": s.name == round_.chosen})
     return rows
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import wilcoxon
+from scipy.stats import t as student, wilcoxon
 
 from calibration.discrepancy.scores import Score
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
@@ -18,22 +18,32 @@ from slider_jax.effects import Prior
 class Agreement(NamedTuple):
     """Result of cross-validation: whether a candidate improves predictions of held-out trials."""
 
-    mean: float
-    """t-statistic: mean of the log gains `Score.left_out`, divided by the mean's standard error."""
-    chance: float
+    t: float
+    """Mean of the log gains `Score.left_out`, divided by the mean's standard error."""
+    t_chance: float
+    """p-value of the t-test on these log gains; 1 for fewer than three trials."""
+    rank_chance: float
     """p-value of Wilcoxon's signed-rank test on these log gains."""
+    least_gain: float
+    """Smallest of the gains `Score.held_gains`; -inf for fewer than two trials."""
 
     def agreed(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
         """Returns whether cross-validation confirms the candidate."""
-        return bool(self.mean > settings.left_out_t or self.chance < settings.wilcoxon_p)
+        return bool(
+            self.t_chance < settings.left_out_p
+            or self.rank_chance < settings.wilcoxon_p
+            or self.least_gain > settings.least_held_gain
+        )
 
 
-def agreement(left_out: np.ndarray) -> Agreement:
-    """Returns the result of cross-validation from the log gains `Score.left_out` (trials,)."""
+def agreement(left_out: np.ndarray, held_gains: np.ndarray) -> Agreement:
+    """Returns the result of cross-validation from log gains and gains (trials,) of a `Score`."""
     n = len(left_out)
     spread = float(left_out.std(ddof=1)) / np.sqrt(n) if n > 1 else np.inf
-    mean = float(left_out.mean()) / max(spread, 1e-300)
-    return Agreement(mean, float(wilcoxon(left_out, alternative="greater").pvalue))
+    t = float(left_out.mean()) / max(spread, 1e-300)
+    t_chance = float(student.sf(t, n - 1)) if n > 2 else 1.0
+    ranks = float(wilcoxon(left_out, alternative="greater").pvalue)
+    return Agreement(t, t_chance, ranks, float(np.min(held_gains)) if n > 1 else -np.inf)
 
 
 @dataclass(frozen=True)

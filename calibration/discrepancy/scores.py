@@ -35,6 +35,8 @@ class Score(NamedTuple):
     left_out: np.ndarray
     """Cross-validated log gain of each trial that the candidate changes visibly: log(S0/S1), with
     the held-out trial's sum of squares S0 without the candidate and S1 with the candidate."""
+    held_gains: np.ndarray
+    """Cross-validated gain of each of these trials: S0 - S1, divided by the mean square."""
 
 
 def least_squares_step(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -76,16 +78,18 @@ def score(
     seen = {x.trial: 0.0 for x in blocks}
     for x in blocks:
         seen[x.trial] += float(step[group] @ x.A[np.ix_(group, group)] @ step[group])
-    left_out = []
+    left_out, held_gains = [], []
     least = min(settings.visible_share * max(seen.values()), settings.visible_gain * unit)
     for trial in sorted(i for i in seen if seen[i] >= least):
         others = [x for x in blocks if x.trial != trial]
         held = [x for x in blocks if x.trial == trial]
         A_, b_ = summed(others) if others else (A, b)
         with_it, without = least_squares_step(A_, b_, both), least_squares_step(A_, b_, free)
-        left_out.append(np.log(square_after(held, without) / square_after(held, with_it)))
+        S0, S1 = square_after(held, without), square_after(held, with_it)
+        left_out.append(np.log(S0 / S1))
+        held_gains.append((S0 - S1) / unit)
     p = min(1.0, many * float(chi2.sf(max(gain, 0.0), len(group))))
-    return Score(name, float(gain), p, step, np.asarray(left_out))
+    return Score(name, float(gain), p, step, np.asarray(left_out), np.asarray(held_gains))
 
 
 def tangent_cosine(A: np.ndarray, first: np.ndarray, second: np.ndarray, free: np.ndarray) -> float:

@@ -238,4 +238,4 @@ def _refit(refits: Refits, current: Fit, s: Score, fit: Fit) -> Refit:
     gain = (current.square - fit.square) / fit.inflation
     sizes = refits.sizes(current, fit)
     named = refits.settings.worth_naming(gain, sizes, len(fit.free) - len(current.free))
-    return Refit(s.name, fit, gain, sizes, agreement(s.left_out), named)
+    return Refit(s.name, fit, gain, sizes, agreement(s.left_out, s.held_gains), named)

@@ -101,7 +101,7 @@ def test_an_alternative_without_agreement_replaces_nothing():
     ((name, x),) = first.alternatives.items()
     first.alternatives[name] = x._replace(loss=-x.loss)
     assert better_alternative(found) == (first, name)
-    first.refitted = [replace(t, agreement=Agreement(0.0, 1.0)) for t in first.refitted]
+    first.refitted = [replace(t, agreement=Agreement(0.0, 1.0, 1.0, 0.0)) for t in first.refitted]
     assert better_alternative(found) is None
 
 

@@ -24,7 +24,7 @@ def judged(
     theta = base_vector(ENTRIES, BASE)
     theta[DELAY] = delay
     fit = Fit(theta, np.arange(4), 1.0, 100, [], [], converged)
-    agreed, sizes = Agreement(9.0, 0.01), {"tip": 0.1, "thrust": 0.001}
+    agreed, sizes = Agreement(9.0, 0.01, 0.01, 9.0), {"tip": 0.1, "thrust": 0.001}
     rounds = [
         SelectionStep([], [Refit(n, fit, 99.0, sizes, agreed, True)], n, list(equivalent))
         for n in effects

@@ -183,7 +183,9 @@ def test_a_measured_trial_is_predicted_at_the_times_of_its_record(tank):
 def test_the_report_lists_the_alternatives(tank):
     final = fitted(tank, tank[2], np.concatenate([FREE, MASS]))
     worse = Alternative(final, 88.0, {"tip": 0.01})
-    refits = [Refit("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01), True)]
+    refits = [
+        Refit("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01, 0.01, 9.0), True)
+    ]
     round_ = SelectionStep(
         [], refits, "carried_mass", [], {"axial_added_mass": worse}, None, "tip_mass"
     )
