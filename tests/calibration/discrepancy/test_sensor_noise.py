@@ -75,7 +75,7 @@ def test_correct_noise_is_used_as_declared(tmp_path):
     assert "Noise of the sensors" in page and "standard errors" not in record["said"]
 
 
-@pytest.mark.parametrize("declared", [0.75, 2.0])
+@pytest.mark.parametrize("declared", [0.75, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_a_wrong_declared_noise_does_not_change_the_verdict(tmp_path, declared):
     found = outcome(tmp_path, declared=declared)
     assert found.verdict == "nothing_missing"

@@ -58,9 +58,8 @@ def test_the_papers_equations_reach_more_than_five_times_the_published_speed(mon
     assert 1.2 < swim.steady < np.inf and swim.by_stride[-1] < swim.steady
 
 
-@pytest.mark.parametrize(
-    "resisting", ["tangential_friction", pytest.param("head_drag", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("resisting", ["tangential_friction", "head_drag"])
 def test_with_the_calibrated_coefficient_the_robot_swims_at_the_published_speed(resisting):
     coefficient = coefficient_at(OPTIMUM, GAIT, resisting, plan=QUICK)
     speed = float(steady_swim(paper_swimmer(GAIT, resisting, coefficient), GAIT, QUICK).speed)

@@ -31,7 +31,7 @@ def difference(one, two):
     return np.abs(one.theta - two.theta)[one.free] / np.sqrt(np.diag(one.covariance))
 
 
-@pytest.mark.parametrize("effects", [(), MANY])
+@pytest.mark.parametrize("effects", [(), pytest.param(MANY, marks=pytest.mark.slow)])
 def test_both_methods_return_the_same_optimum(monkeypatch, effects):
     """From a distant start with 4 or 12 parameters, they agree within 0.1 standard errors."""
     closed.replace_the_beam(monkeypatch)

@@ -26,7 +26,9 @@ def outcome(parameters):
 
 
 single = jax.jit(outcome)
-batched = jax.jit(jax.vmap(jax.value_and_grad(outcome, has_aux=True)))
+batched = jax.jit(jax.vmap(outcome))
+graded = jax.jit(jax.vmap(jax.value_and_grad(outcome, has_aux=True)))
+BAD_ROBOTS = {"not a number": (3.0, np.nan, 1.0), "absurd moment": (3.0, 0.038, 1e9)}
 
 
 def population():
@@ -37,13 +39,13 @@ def population():
 
 @pytest.fixture(scope="module")
 def healthy():
-    (loss, (saved, ok, _)), slope = batched(population())
-    assert bool(jnp.all(ok)) and bool(jnp.all(jnp.isfinite(slope)))
-    return np.asarray(loss), np.asarray(saved), np.asarray(slope)
+    loss, (saved, ok, _) = batched(population())
+    assert bool(jnp.all(ok))
+    return np.asarray(loss), np.asarray(saved)
 
 
 def test_vmap_equals_a_loop_over_robots(healthy):
-    loss, saved, _ = healthy
+    loss, saved = healthy
     worst = 0.0
     for i in range(0, MEMBERS, 10):
         alone, (series, _, _) = single(population()[i])
@@ -53,18 +55,24 @@ def test_vmap_equals_a_loop_over_robots(healthy):
     assert worst < 1e-10
 
 
-@pytest.mark.parametrize(
-    "bad", [(3.0, np.nan, 1.0), (3.0, 0.038, 1e9)], ids=["not a number", "absurd moment"]
-)
+@pytest.mark.parametrize("bad", BAD_ROBOTS)
 def test_a_diverging_robot_does_not_affect_the_other_111(healthy, bad):
-    loss, saved, slope = healthy
-    (new_loss, (new_saved, ok, failed_at)), new_slope = batched(population().at[BAD].set(bad))
+    loss, saved = healthy
+    new_loss, (new_saved, ok, failed_at) = batched(population().at[BAD].set(BAD_ROBOTS[bad]))
     others = np.arange(MEMBERS) != BAD
     assert not bool(ok[BAD]) and bool(jnp.all(ok[others]))
     assert 0.0 < float(failed_at[BAD]) <= STEPS * H
     assert np.all(np.isinf(failed_at[others]))
     change = np.abs(np.asarray(new_saved) - saved)[others].max() / np.abs(saved).max()
-    slopes = np.abs(np.asarray(new_slope) - slope)[others].max() / np.abs(slope).max()
-    print(f"the others' series changed by {change:.1e}, their gradients by {slopes:.1e}")
-    assert change < 1e-10 and slopes < 1e-10
+    assert change < 1e-10
     np.testing.assert_allclose(np.asarray(new_loss)[others], loss[others], rtol=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bad", BAD_ROBOTS)
+def test_a_diverging_robot_does_not_affect_the_gradients_of_the_others(bad):
+    slope = np.asarray(graded(population())[1])
+    new_slope = np.asarray(graded(population().at[BAD].set(BAD_ROBOTS[bad]))[1])
+    others = np.arange(MEMBERS) != BAD
+    assert np.isfinite(slope).all()
+    assert np.abs(new_slope - slope)[others].max() < 1e-10 * np.abs(slope).max()

@@ -44,6 +44,7 @@ def swum(tmp_path_factory):
     return folder / "out"
 
 
+@pytest.mark.slow
 def test_it_writes_what_it_found(swum):
     told = json.loads((swum / "swim.json").read_text())
     (row,) = told["swims"]
