@@ -12,7 +12,7 @@ from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, eigh, solve_triangular
+from scipy.linalg import cholesky, eigh, solve_triangular, toeplitz
 
 from calibration.inference.intervals import noise_floor
 from slider_jax.channels import CHANNELS
@@ -44,6 +44,9 @@ SCALE_STEP = 0.02
 then share their Cholesky factors."""
 KEPT_BYTES = 600e6
 """Memory for the matrices of recent blocks, which later whiteners use again [B]."""
+EVEN_TOLERANCE = 1e-3 * DISCREPANCY_TIME
+"""Sample times count as evenly spaced if none differs by more [s]. The covariance is then computed
+from one row."""
 SETTLED = 1e-9
 """Change of the state's covariance, relative to its prior, below which it counts as constant."""
 
@@ -169,15 +172,24 @@ class Whitener:
 
     def _made(self, pattern: "_Pattern") -> "_Block":
         lag, span = pattern.lag, pattern.lag[-1] if np.isnan(pattern.span) else pattern.span
-        gap = np.abs(lag[:, None] - lag[None])
-        cov = self._noise.slow**2 * np.exp(-gap / self._noise.slow_time)
-        cov += self._scale**2 * _discrepancy_correlation(gap, self._frequency)
+        even = np.linspace(0.0, lag[-1], len(lag))
+        if np.abs(lag - even).max() < EVEN_TOLERANCE:
+            cov = toeplitz(self._covariance(even))
+        else:
+            cov = self._covariance(np.abs(lag[:, None] - lag[None]))
         cov[np.diag_indices_from(cov)] += pattern.white
         seen, turn = self._modes.columns(lag), self._modes.turn(span)
-        root = cholesky(cov - seen @ seen.T, lower=True, overwrite_a=True, check_finite=False)
+        cov -= seen @ seen.T
+        # The transpose of the symmetric matrix has LAPACK's order, so that no copy is made.
+        root = cholesky(cov.T, lower=True, overwrite_a=True, check_finite=False)
         link = self._modes.columns(lag - span) - seen @ turn.T
         seen, link = (solve_triangular(root, x, lower=True) for x in (seen, link))
         return _Block(pattern, root, seen, link, turn)
+
+    def _covariance(self, gap: np.ndarray) -> np.ndarray:
+        """Returns the covariance of two readings at times that differ by `gap` [s]."""
+        slow = self._noise.slow**2 * np.exp(-gap / self._noise.slow_time)
+        return slow + self._scale**2 * _discrepancy_correlation(gap, self._frequency)
 
     def _filter(self) -> list["_Gain"]:
         """Returns the gain of every block by the recursion of the state's covariance."""

@@ -35,7 +35,6 @@ from tests.support import closed_form_tank
 from tests.support.experiments import write_small_experiment
 from tests.support.still_tank import EFFECTS, LIMITS, MESH, STILL
 
-
 FEW = SearchEffort(spread=5, rounds=1)
 
 

@@ -38,7 +38,6 @@ from slider_jax.experiment.schema import Trial
 from tests.support.experiments import write_small_experiment
 from tests.support.still_tank import EFFECTS, LIMITS, MESH, STILL
 
-
 FREE, FEW = np.arange(len(BASE)), SearchEffort(spread=3, rounds=0)
 ENTRIES = model_parameters(EFFECTS)
 MASS, FLUID = (effect_entries(ENTRIES)[name] for name in ("carried_mass", "axial_added_mass"))
