@@ -103,7 +103,8 @@ def test_the_verdict_does_not_depend_on_noise_or_order_of_the_trials(delayed, tm
     for i in delayed.final.free:
         _, low, high = delayed.interval(int(i))
         off = again.final.theta[i] - delayed.final.theta[i]
-        assert abs(off) <= np.sqrt(GAIN_TOLERANCE) * (high - low) / 3.92  # the fit's tolerance
+        tolerance = np.sqrt(GAIN_TOLERANCE) * (high - low) / 3.92
+        assert abs(off) <= 2.0 * tolerance  # each of the two fits may be off by its tolerance
     for seed in (5, 6):
         other = close_small_tank(tmp_path / f"seed_{seed}", truth.effects, seed)
         assert (other.verdict, other.search.effects) == ("identified", ["valve_delay"])
