@@ -41,10 +41,15 @@ class Channel:
     """Kind of sensor: forces have a tare and slow noise; pressures have a quantisation step."""
     noise: str = ""
     """Key of the white noise in table [sensors]. If "", the noise is estimated from the data."""
+    share_key: str = ""
+    """Start of the keys `..._gain` and `..._discrepancy` in table [sensors]. If "", the constants
+    below always apply."""
     gain: float = 0.01
-    """Standard deviation of a trial's gain (scale factor), due to calibration error and drift."""
+    """Standard deviation of a trial's gain (scale factor), due to calibration error and drift, if
+    none is declared."""
     discrepancy: float = 0.05
-    """Model-discretisation discrepancy, as a fraction of the channel's rms."""
+    """Largest model-discretisation discrepancy, as a fraction of the channel's rms. It applies if
+    no discrepancy is declared or measured."""
     digits: str = ".7g"
     """Python format specification of the numbers in the CSV column."""
     start: Callable[[np.ndarray], float] = lambda midline: 0.0
@@ -74,14 +79,14 @@ def register(channel: Channel) -> Channel:
 def _pressure(name: str, label: str, chamber: int) -> Channel:
     return Channel(
         name, f"{name}_Pa", "Pa", label, "kPa", 1e-3, lambda x: x.chambers.p[chamber],
-        "pressure", "pressure_noise", gain=0.002, discrepancy=0.002, digits=".1f",
+        "pressure", "pressure_noise", "pressure", gain=0.002, discrepancy=0.002, digits=".1f",
     )  # fmt: skip
 
 
 def _force(name: str, observe: Callable[[Snapshot], Array], discrepancy: float) -> Channel:
     return Channel(
         name, f"{name}_N", "N", name, "mN", 1e3, observe,
-        "force", "force_noise", gain=0.01, discrepancy=discrepancy, digits=".6f",
+        "force", "force_noise", name, gain=0.01, discrepancy=discrepancy, digits=".6f",
     )  # fmt: skip
 
 
@@ -93,7 +98,7 @@ register(_force("thrust", obs.thrust, 0.07))
 register(_force("recoil", obs.recoil, 0.012))
 register(Channel(
     "tip", "tip_m", "m", "tip, lateral", "mm", 1e3, obs.tip,
-    "camera", "tip_noise", gain=0.005, discrepancy=0.005, digits=".7f",
+    "camera", "tip_noise", "tip", gain=0.005, discrepancy=0.005, digits=".7f",
     start=lambda midline: midline[1, 0],
 ))  # fmt: skip
 BUILT_IN = tuple(CHANNELS)

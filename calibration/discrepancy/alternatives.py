@@ -93,7 +93,9 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
             if fit.converged:
                 loss = (fit.square - final.square) / final.inflation
                 fewer = len(final.free) - len(fit.free)
-                round_.alternatives[name] = Alternative(fit, loss, refits.sizes(fit, final), fewer)
+                round_.alternatives[name] = Alternative(
+                    fit, loss, refits.sizes(fit, final), problem.discrepancies, fewer
+                )
     for round_ in found.rounds:
         unjudged = [n for n in round_.equivalent if n not in round_.alternatives]
         round_.equivalent = [

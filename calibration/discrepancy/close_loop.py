@@ -299,10 +299,12 @@ def conclude(
     result = select_effects(
         problem, entries, base_vector(entries, base), progress, base_names, settings
     )
+    all_trials = all_trials.with_discrepancies(result.discrepancies)
+    problem = problem.with_discrepancies(result.discrepancies)
     held_out = {}
     if held:
         progress("predicting the held-out trials")
-        rest = problem_of([found[i] for i in held])
+        rest = problem_of([found[i] for i in held]).with_discrepancies(result.discrepancies)
         veto_effects(result, problem, rest, progress)
         held_out = channel_errors(
             rest, *(rest.predict(f.theta) for f in (result.base, result.final))

@@ -7,6 +7,7 @@ import numpy as np
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.localise import residual_text
 from calibration.discrepancy.report import (
+    discrepancy_sentences,
     effect_sentences,
     instability_sentences,
     noise_sentences,
@@ -68,6 +69,8 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
         whiteness=_whiteness(record["whiteness"]["channels"]),
         noise=_noise(outcome),
         noise_lines=noise_sentences(outcome),
+        discrepancy=_discrepancy(record["discrepancy"]),
+        discrepancy_lines=discrepancy_sentences(outcome),
         instability_lines=instability_sentences(outcome),
         readings_png=embedded_png(readings_figure(outcome)),
         scores_png=embedded_png(score_figure(record)),
@@ -126,6 +129,14 @@ def _noise(outcome: LoopOutcome) -> list[list[str]]:
         tails = "normal" if x.freedom is None else f"{x.freedom:.2g} degrees of freedom"
         rows.append([f"{channel} ({unit})", *sizes, x.method, tails])
     return rows
+
+
+def _discrepancy(channels: dict[str, dict[str, float | None]]) -> list[list[str]]:
+    """Returns a row for every channel with its discrepancies in percent of the channel's rms."""
+    return [
+        [channel, *("" if y is None else f"{100.0 * y:.2g} %" for y in x.values())]
+        for channel, x in channels.items()
+    ]
 
 
 def _interval(x: dict[str, Any]) -> list[str]:

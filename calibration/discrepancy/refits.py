@@ -17,6 +17,7 @@ from calibration.inference.gauss_newton import (
     linear_optimum,
     reading_derivatives,
 )
+from calibration.inference.measured_discrepancy import DiscrepancyMeter
 from calibration.inference.noise import Whitener
 from calibration.inference.problem import FAILED, AbstractProblem, normal_equations, summed, total
 from calibration.model.extended import Parameter
@@ -88,6 +89,14 @@ def initial_theta(
 
 Tangents = dict[tuple[int, str], np.ndarray]
 """Whitened tangents (parameters, n) of every trial and channel."""
+
+
+class ScoringTangents(NamedTuple):
+    """Tangents from which a round scores its candidates."""
+
+    raw: list[np.ndarray]
+    """Tangents (parameters, channels, samples) of each trial."""
+    white: Tangents
 
 
 class FitStart(NamedTuple):
@@ -185,6 +194,14 @@ class Refits:
     white: dict[tuple[int, str], Whitener]
     progress: Callable[[str], None]
     settings: SelectionSettings = DEFAULT_SETTINGS
+    meter: DiscrepancyMeter | None = None
+    """Measures the discrepancies of a fit. None: the discrepancies of the noise apply."""
+
+    def discrepancies(self, predicted: Sequence[np.ndarray]) -> dict[str, float]:
+        """Returns the discrepancy of each channel if the model's readings are `predicted`."""
+        if self.meter is None:
+            return self.problem.discrepancies
+        return {channel: x.used for channel, x in self.meter(predicted).items()}
 
     def sizes(self, before: Fit, after: Fit) -> dict[str, float]:
         """Returns each channel's rms change between two fits as a fraction of the channel's rms."""
@@ -310,5 +327,6 @@ class Refits:
         less = self.fit(null, current.free[~own])
         gain = (less.square - current.square) / current.inflation
         sizes = self.sizes(less, current)
-        needed = self.settings.worth_naming(gain, sizes, int(own.sum()))
+        limits = self.problem.discrepancies
+        needed = self.settings.worth_naming(gain, sizes, limits, int(own.sum()))
         return less if less.converged and not needed else None

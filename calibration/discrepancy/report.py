@@ -24,6 +24,10 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.io.files import provenance
 from slider_jax.io.toml import toml_text
 
+REPEATABLE_RATIO = 2.0
+"""The report mentions a repeatable error of the thrust that exceeds this multiple of the model's
+discretisation error, because the extrapolation of this error is right within a factor of 1.5."""
+
 
 def loop_record(
     outcome: LoopOutcome,
@@ -48,6 +52,7 @@ def loop_record(
         },
         "instability": [x._asdict() for x in outcome.unstable],
         "noise": {c: x._asdict() for c, x in outcome.noise.items()},
+        "discrepancy": discrepancy_records(outcome),
         "whiteness": whiteness_record(outcome),
         "errors": outcome.used,
         "held_out": outcome.held_out,
@@ -190,6 +195,7 @@ def verdict_sentences(outcome: LoopOutcome) -> list[str]:
         residual_sentence(outcome),
         *instability_sentences(outcome),
         *noise_sentences(outcome),
+        *discrepancy_sentences(outcome),
     ]
 
 
@@ -340,6 +346,35 @@ def noise_sentences(outcome: LoopOutcome) -> list[str]:
                 "degrees of freedom), so large errors have a smaller weight in the fit."
             )
     return text
+
+
+def discrepancy_records(outcome: LoopOutcome) -> dict[str, dict[str, float | None]]:
+    """Returns each channel's declared, extrapolated, measured and used discrepancy.
+
+    All values are fractions of the channel's rms. The used value is that of the final fit. The
+    lower limit and the measured value are None if the model has only one mesh.
+    """
+    search, declared = outcome.search, outcome.problem.declared
+    return {
+        channel: search.measured[channel]._replace(used=used)._asdict()
+        if channel in search.measured
+        else {
+            "declared": declared.get(channel), "lower_limit": None, "measured": None, "used": used,
+        }
+        for channel, used in search.discrepancies.items()
+    }  # fmt: skip
+
+
+def discrepancy_sentences(outcome: LoopOutcome) -> list[str]:
+    """Returns a sentence if the data contain a repeatable error of the thrust."""
+    x = outcome.search.measured.get("thrust")
+    if x is None or x.measured is None or x.measured <= REPEATABLE_RATIO * x.lower_limit:
+        return []
+    return [
+        f"The data contain a repeatable error of {100.0 * x.measured:.2g} % of the thrust's rms "
+        f"that no effect explains. The model's own discretisation error is "
+        f"{100.0 * x.lower_limit:.2g} %."
+    ]
 
 
 def parameter_lines(record: dict[str, Any]) -> list[str]:

@@ -10,6 +10,7 @@ from scipy.stats import t as student, wilcoxon
 from calibration.discrepancy.scores import Score
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import Fit
+from calibration.inference.measured_discrepancy import Discrepancy
 from calibration.model.extended import Parameter
 from slider_jax.channels import row_of
 from slider_jax.effects import Prior
@@ -69,6 +70,8 @@ class Alternative(NamedTuple):
     """Increase of the whitened sum of squares, divided by the final fit's mean square."""
     sizes: dict[str, float]
     """rms difference between the readings of the two fits, as a fraction of each channel's rms."""
+    discrepancies: dict[str, float]
+    """Model-discretisation discrepancy of each channel in the noise of both fits."""
     fewer: int = 0
     """Number of fitted parameters that this fit has fewer than the final fit."""
 
@@ -77,11 +80,13 @@ class Alternative(NamedTuple):
 
         The threshold allows for the parameters that only the chosen effect has.
         """
-        return settings.worth_naming(self.loss, self.sizes, 1 + max(self.fewer, 0))
+        more = 1 + max(self.fewer, 0)
+        return settings.worth_naming(self.loss, self.sizes, self.discrepancies, more)
 
     def is_better(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
         """Returns whether the alternative fits better by at least the naming threshold."""
-        return settings.worth_naming(-self.loss, self.sizes, 1 + max(-self.fewer, 0))
+        more = 1 + max(-self.fewer, 0)
+        return settings.worth_naming(-self.loss, self.sizes, self.discrepancies, more)
 
 
 class Growth(NamedTuple):
@@ -130,6 +135,11 @@ class Selection:
     """Declared prior of each entry whose range became wider, because a fit ended at an edge."""
     vetoed: dict[str, Growth] = field(default_factory=dict)
     """Effects that were selected and then removed, because they increase the held-out error."""
+    measured: dict[str, Discrepancy] = field(default_factory=dict)
+    """Discrepancies that were measured from the residual of the last fit. Empty if the model has
+    only one mesh."""
+    discrepancies: dict[str, float] = field(default_factory=dict)
+    """Model-discretisation discrepancy of each channel in the noise of the final fit."""
 
 
 def effect_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:

@@ -3,7 +3,11 @@
 Each round scores all candidates, refits the best candidates and chooses at most one of them. A
 candidate can be chosen if three conditions hold. Its gain is significant for the number of
 candidates. Cross-validation confirms the gain. The candidate changes some channel by more than the
-model-discretisation discrepancy, a constant in `slider_jax.channels`.
+model-discretisation discrepancy that remains with the candidate.
+
+The discrepancy is measured from the residual, which also contains the effects that are still
+missing. Each chosen effect can therefore make the measured discrepancy smaller. The model is then
+refitted with the smaller discrepancy in the noise.
 
 A chosen effect is removed again if effects chosen later make it unnecessary. While two effects are
 missing, a wrong effect that resembles both can explain more than either missing effect. Source:
@@ -30,6 +34,7 @@ from calibration.discrepancy.ranges import fix_undetermined_shapes, widen_ranges
 from calibration.discrepancy.refits import (
     FitStart,
     Refits,
+    ScoringTangents,
     Tangents,
     effect_tangents,
     initial_theta,
@@ -46,9 +51,9 @@ from calibration.discrepancy.rounds import (
 from calibration.discrepancy.scores import Score, score
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
+from calibration.inference.measured_discrepancy import DiscrepancyMeter, fell
 from calibration.inference.problem import FAILED, AbstractProblem, ChannelBlock, normal_equations
 from calibration.model.extended import BASE, Parameter
-from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import LIBRARY
 
 
@@ -67,7 +72,12 @@ def select_effects(
     white = problem.whiteners(first.predicted)
     base = fit_gauss_newton(problem, entries, first.theta, free, progress, white, exact=False)
     refits = Refits(problem, entries, white, progress, settings)
-    found = Selection(base, base, [], [], settings, entries)
+    found = Selection(base, base, [], [], settings, entries, discrepancies=problem.discrepancies)
+    if problem.mesh_ratio > 1.0 and base.converged:
+        coarse = [x[0] for x in problem.coarse([base.theta])]
+        meter = DiscrepancyMeter(problem, base.predicted, coarse)
+        refits = _with_measured_discrepancies(replace(refits, meter=meter), found)
+        found.base = found.final
     for swaps in range(settings.max_swaps + 1):
         refits, tangents = _add(refits, found)
         judge_alternatives(refits, found, tangents)
@@ -85,6 +95,25 @@ def select_effects(
         refits = _widen(refits, found)
         _remove_unnecessary(refits, found, round_)
     return found
+
+
+def _with_measured_discrepancies(refits: Refits, found: Selection) -> Refits:
+    """Measures the discrepancies of the final fit, and refits if one of them fell."""
+    if refits.meter is None:
+        return refits
+    found.measured = refits.meter(found.final.predicted)
+    if not fell(found.measured, refits.problem.discrepancies):
+        return refits
+    refits.progress("refitting with the measured model-discretisation discrepancy")
+    before = refits.problem.discrepancies
+    found.discrepancies = {c: min(x.used, before[c]) for c, x in found.measured.items()}
+    problem = refits.problem.with_discrepancies(found.discrepancies)
+    refits = replace(refits, problem=problem, white=problem.whiteners(found.final.predicted))
+    final, exact = found.final, bool(found.effects)
+    found.final = fit_gauss_newton(
+        problem, refits.entries, final.theta, final.free, refits.progress, refits.white, exact
+    )
+    return refits
 
 
 def _widen(refits: Refits, found: Selection) -> Refits:
@@ -114,7 +143,8 @@ def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
 
     Returns the refits with the prior ranges of the added effects, and the last whitened tangents.
     """
-    settings, tangents = refits.settings, None
+    settings = refits.settings
+    tangents: ScoringTangents | None = None
     while len(found.effects) < settings.max_effects and len(found.rounds) < settings.max_rounds:
         rest = [n for n in effect_entries(refits.entries) if _can_join(n, found.effects)]
         if not rest:
@@ -127,10 +157,14 @@ def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
         found.effects.append(round_.chosen)
         found.final = next(t.fit for t in round_.refitted if t.name == round_.chosen)
         refits = _widen(refits, found)
+        before, refits = refits, _with_measured_discrepancies(refits, found)
+        if refits is not before:
+            white = refits.problem.whitened(tangents.raw, refits.white)
+            tangents = ScoringTangents(tangents.raw, white)
         _remove_unnecessary(refits, found, round_)
     refits = _widen(refits, found)
     _fix_shapes(refits, found)
-    return refits, tangents
+    return refits, None if tangents is None else tangents.white
 
 
 def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:
@@ -169,9 +203,9 @@ def _scores(
 
 
 def _round(
-    refits: Refits, current: Fit, rest: Sequence[str], last: Tangents | None
-) -> tuple[SelectionStep, Tangents]:
-    """Returns a round of the selection and the whitened tangents of its scores.
+    refits: Refits, current: Fit, rest: Sequence[str], last: ScoringTangents | None
+) -> tuple[SelectionStep, ScoringTangents]:
+    """Returns a round of the selection and the tangents of its scores.
 
     `last` are the tangents of the round before. If no candidate nears the naming threshold with
     them, no other tangents are computed.
@@ -179,7 +213,7 @@ def _round(
     problem, entries, progress = refits.problem, refits.entries, refits.progress
     settings, scored = refits.settings, scoring_entries(refits.entries)
     if last is not None:
-        scores, _ = _scores(refits, current, rest, last)
+        scores, _ = _scores(refits, current, rest, last.white)
         if scores[0].gain < settings.distant_gain_share * settings.min_gain:
             return SelectionStep(scores), last
     tangents = effect_tangents(problem, entries, current.theta, current.free, settings)
@@ -190,7 +224,8 @@ def _round(
         pairs = zip(current.predicted, tangents, strict=True)
         changed = [y + np.tensordot(s.step, x, 1) for y, x in pairs]
         changes = relative_changes(problem.channels, current.predicted, changed).items()
-        if any(x > settings.naming_share * CHANNELS[c].discrepancy for c, x in changes):
+        limits = refits.discrepancies(changed)
+        if any(x > settings.naming_share * limits[c] for c, x in changes):
             group = effect_entries(entries)[s.name]
             theta = initial_theta(refits, current.theta, group, s.step)
             free = np.concatenate([current.free, group])
@@ -214,7 +249,7 @@ def _round(
             round_.chosen = best.name
             round_.equivalent = equivalent_effects(best, round_, scored, current, blocks, settings)
             break
-    return round_, J
+    return round_, ScoringTangents(tangents, J)
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
@@ -236,6 +271,6 @@ def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
 
 def _refit(refits: Refits, current: Fit, s: Score, fit: Fit) -> Refit:
     gain = (current.square - fit.square) / fit.inflation
-    sizes = refits.sizes(current, fit)
-    named = refits.settings.worth_naming(gain, sizes, len(fit.free) - len(current.free))
+    sizes, more = refits.sizes(current, fit), len(fit.free) - len(current.free)
+    named = refits.settings.worth_naming(gain, sizes, refits.discrepancies(fit.predicted), more)
     return Refit(s.name, fit, gain, sizes, agreement(s.left_out, s.held_gains), named)

@@ -1,10 +1,9 @@
 """Thresholds of the selection of effects. report.json lists them under `selection_settings`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from scipy.stats import chi2
-
-from slider_jax.channels import CHANNELS
 
 
 @dataclass(frozen=True)
@@ -111,14 +110,20 @@ class SelectionSettings:
         """
         return float(chi2.isf(chi2.sf(self.min_gain, 1), parameters))
 
-    def worth_naming(self, gain: float, sizes: dict[str, float], parameters: int = 1) -> bool:
+    def worth_naming(
+        self,
+        gain: float,
+        sizes: Mapping[str, float],
+        discrepancies: Mapping[str, float],
+        parameters: int = 1,
+    ) -> bool:
         """Returns whether an effect with this number of parameters exceeds the naming threshold.
 
         The gain must exceed `least_gain`. The change of some channel must exceed that channel's
         model-discretisation discrepancy. `sizes` are rms changes, relative to each channel's rms.
         """
         enough = gain > self.least_gain(parameters)
-        return enough and any(sizes[c] > CHANNELS[c].discrepancy for c in sizes)
+        return enough and any(sizes[c] > discrepancies[c] for c in sizes)
 
 
 DEFAULT_SETTINGS = SelectionSettings()

@@ -9,7 +9,6 @@ from calibration.discrepancy.ranges import at_edge
 from calibration.discrepancy.rounds import Selection
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.goodness import Excess
-from slider_jax.channels import CHANNELS
 
 NOTHING, IDENTIFIED, CLASS = "nothing_missing", "identified", "class"
 PARTLY, UNEXPLAINED, INCONCLUSIVE = "partly_explained", "unexplained", "inconclusive"
@@ -60,7 +59,7 @@ def judge_effects(
         if name is None or name not in search.effects:
             continue
         sizes = next(t.sizes for t in round_.refitted if t.name == name)
-        above = [c for c in left if sizes.get(c, 0.0) > CHANNELS[c].discrepancy]
+        above = [c for c in left if sizes.get(c, 0.0) > search.discrepancies[c]]
         beyond = parameters_beyond_prior(search, theta, name)
         doubtful = bool(above) or not search.final.converged
         status = _status(round_.equivalent, beyond, doubtful)

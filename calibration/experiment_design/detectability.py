@@ -36,7 +36,6 @@ from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import inverse, marginal_information
 from calibration.model.extended import Parameter, candidate_effects
 from calibration.model.predict import COARSE, Resolution
-from slider_jax.channels import CHANNELS
 from slider_jax.experiment.load import Experiment
 from slider_jax.simulation.effect_signature import typical_size
 
@@ -124,10 +123,11 @@ def detectability_matrix(
     channels = f.trials(experiment.trials, progress)
     entries, many = f.entries, len(candidate_effects())
     indices, free = scoring_entries(entries), np.flatnonzero([not p.effect for p in entries])
+    discrepancies = f.sensing.discrepancies
     limits = [
         DetectionLimit(
             p,
-            *_limit(channels, i, free, required_gain(len(indices[p.effect]), many)),
+            *_limit(channels, i, free, required_gain(len(indices[p.effect]), many), discrepancies),
             f.chosen[i] in f.secants,
         )
         for i, p in enumerate(entries)
@@ -141,7 +141,11 @@ def detectability_matrix(
 
 
 def _limit(
-    channels: Sequence[ChannelInformation], i: int, free: np.ndarray, gain: float
+    channels: Sequence[ChannelInformation],
+    i: int,
+    free: np.ndarray,
+    gain: float,
+    discrepancies: dict[str, float],
 ) -> tuple[float, float, float]:
     """Returns the fields `significant`, `nameable` and `error` of the limit of parameter `i`."""
     A = information(channels)
@@ -153,7 +157,7 @@ def _limit(
     step = np.zeros(len(A))
     step[i], step[free] = 1.0, -inverse(A[np.ix_(free, free)]) @ A[free, i]
     changes = [
-        share / CHANNELS[c].discrepancy for c, share in channel_shares(channels, step).items()
+        share / max(discrepancies[c], 1e-300) for c, share in channel_shares(channels, step).items()
     ]
     return float(np.sqrt(gain / rest)), 1.0 / max(max(changes), 1e-300), float(1.0 / np.sqrt(rest))
 

@@ -16,7 +16,6 @@ from calibration.experiment_design.detectability import (
 )
 from calibration.experiment_design.information import FINITE_START
 from calibration.model.extended import candidate_effects
-from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import provenance
 
@@ -52,8 +51,8 @@ def detectability_record(m: DetectabilityMatrix, source: dict[str, Any]) -> dict
             "candidates": len(candidate_effects()),
             "gain_of_one_parameter": required_gain(1, len(candidate_effects())),
             "alike": DEFAULT_SETTINGS.parallel_cosine,
-            "gain_of_a_trial": {name: x.gain for name, x in CHANNELS.items()},
-            "discrepancy": {name: x.discrepancy for name, x in CHANNELS.items()},
+            "gain_of_a_trial": {c: noise.gain for c, noise in sensing.noise.items()},
+            "discrepancy": sensing.discrepancies,
         },
         "definitions": NOTES,
         "resolution": vars(m.information.coarse),

@@ -33,7 +33,6 @@ from calibration.experiment_design.trial_search import (
     trial_text,
 )
 from calibration.inference.gauss_newton import inverse, marginal_information
-from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import Trial
 
 MAX_REPEATS = 12
@@ -47,6 +46,8 @@ class ModelDistance(NamedTuple):
     """Square root of lambda: the distance in standard deviations of the noise."""
     shares: dict[str, float]
     """rms difference of the readings in each channel, as a fraction of the channel's rms."""
+    discrepancies: dict[str, float]
+    """Model-discretisation discrepancy of each channel, as a fraction of the channel's rms."""
 
     @property
     def threshold_ratio(self) -> float:
@@ -56,11 +57,13 @@ class ModelDistance(NamedTuple):
     @property
     def channel(self) -> tuple[str, float]:
         """Returns the channel with the largest ratio difference/discrepancy, and the ratio."""
-        found = {c: x / CHANNELS[c].discrepancy for c, x in self.shares.items()}
+        found = {c: x / max(self.discrepancies[c], 1e-300) for c, x in self.shares.items()}
         return max(found.items(), key=lambda item: item[1])
 
 
-def model_distance(channels: Sequence[ChannelInformation], unit: float) -> ModelDistance:
+def model_distance(
+    channels: Sequence[ChannelInformation], unit: float, discrepancies: dict[str, float]
+) -> ModelDistance:
     """Returns the distance between a refitted model and a second model.
 
     The directions of the information in `channels` are the refitted model's parameters and, last,
@@ -71,7 +74,8 @@ def model_distance(channels: Sequence[ChannelInformation], unit: float) -> Model
     step = np.ones(len(A))
     step[rest] = -(inverse(A[np.ix_(rest, rest)]) @ A[np.ix_(rest, last)])[:, 0]
     square = max(float(marginal_information(A, last, rest)[0, 0]), 0.0)
-    return ModelDistance(float(np.sqrt(square / unit)), channel_shares(channels, step))
+    sigmas = float(np.sqrt(square / unit))
+    return ModelDistance(sigmas, channel_shares(channels, step), discrepancies)
 
 
 def discriminating_trial(
@@ -92,11 +96,12 @@ def discriminating_trial(
     """
     models = [f for pair in predictions.values() for f in pair]
     before = [f.trials(trials, progress) for f in models]
+    discrepancies = models[0].sensing.discrepancies
 
     def after(channels: list[list[ChannelInformation]], times: int = 1) -> list[ModelDistance]:
         """Returns the distance of each alternative after `times` repetitions of the trial."""
         pairs = zip(before, channels, strict=True)
-        found = [model_distance([*a, *(times * b)], unit) for a, b in pairs]
+        found = [model_distance([*a, *(times * b)], unit, discrepancies) for a, b in pairs]
         both = zip(found[::2], found[1::2], strict=True)
         return [max(x, key=lambda d: d.threshold_ratio) for x in both]
 
@@ -143,5 +148,5 @@ def _difference(now: ModelDistance, then: ModelDistance) -> str:
         f"their distance grows from {now.sigmas:.1f} to {then.sigmas:.1f} standard deviations, and "
         f"the difference in {channel} from {100.0 * now.shares[channel]:.2g} to "
         f"{100.0 * then.shares[channel]:.2g} % (model-discretisation discrepancy "
-        f"{100.0 * CHANNELS[channel].discrepancy:.2g} %)"
+        f"{100.0 * then.discrepancies[channel]:.2g} %)"
     )

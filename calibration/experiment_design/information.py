@@ -101,6 +101,11 @@ class SensorModel:
             )
         return cls(noise, every, {r.trial.file: r for r in found}, fitted)
 
+    @property
+    def discrepancies(self) -> dict[str, float]:
+        """Returns the model-discretisation discrepancy of each channel as a fraction of its rms."""
+        return {channel: noise.discrepancy for channel, noise in self.noise.items()}
+
     def noise_of(self, trial: Trial, channel: str) -> Noise:
         """Returns the noise of a channel in a trial."""
         return self.fitted.get((trial.file, channel), self.noise[channel])
@@ -174,7 +179,7 @@ class TrialInformation:
                 continue
             raw, signal = J[:, row, here], y[row, here]
             swings = None if swing is None else swing[:, row, here]
-            white = Whitener(p.at[here], noise, signal, channel, trial.frequency, swings)(raw)
+            white = Whitener(p.at[here], noise, signal, trial.frequency, swings)(raw)
             A, gram, square = white @ white.T, raw @ raw.T, float(signal @ signal)
             found.append(ChannelInformation(number, channel, A, gram, square, here.sum()))
         return found

@@ -7,7 +7,7 @@ import numpy as np
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import AbstractProblem
 from calibration.inference.whiteness import SeriesTest, whiteness_tests
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import row_of
 
 
 class Excess(NamedTuple):
@@ -98,7 +98,7 @@ def noise_floors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[
         row, parts = row_of(channel), []
         for (i, name), noise in problem.noise.items():
             if name == channel:
-                share = CHANNELS[channel].discrepancy * float(np.std(predicted[i][row]))
+                share = noise.discrepancy * float(np.std(predicted[i][row]))
                 white = float(np.mean(np.square(noise.white)))
                 square = white + noise.slow**2 + noise.tare**2 + share**2
                 parts.append((square, int(problem.records[i].there(channel).sum())))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm
 
-from calibration.inference.noise import Noise, channel_noise, quantisation_step
+from calibration.inference.noise import Noise, channel_noise, quantisation_step, signal_shares
 from calibration.measurements.records import Record
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.experiment.schema import SensorsTable
@@ -108,14 +108,14 @@ def _channel_noise(sensors: SensorsTable, channel: str, records: list[Record]) -
             measured, method = thinned, THINNED
     if TOO_LARGE * declared <= measured <= TOO_SMALL * declared:
         return ChannelNoise(declared, measured, declared, method)
-    least = min(declared, _least_noise(channel, series))
+    least = min(declared, _least_noise(sensors, channel, series))
     return ChannelNoise(declared, measured, max(measured, least), method)
 
 
-def _least_noise(channel: str, series: list[np.ndarray]) -> float:
+def _least_noise(sensors: SensorsTable, channel: str, series: list[np.ndarray]) -> float:
     """Returns the smallest noise of a channel that the loop uses."""
     size = float(np.median([np.std(x) for x in series]))
-    limits = [LEAST_SHARE * CHANNELS[channel].discrepancy * size]
+    limits = [LEAST_SHARE * signal_shares(sensors, channel)[1] * size]
     if CHANNELS[channel].kind == "pressure":
         limits.append(float(np.median([quantisation_step(x) for x in series])) / math.sqrt(12.0))
     return max(limits)

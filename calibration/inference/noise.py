@@ -2,8 +2,9 @@
 
 A sensor's noise has three parts: white noise (with quantisation), slow noise with the correlation
 time `slow_time`, and a tare that is constant in a trial. Two further parts are proportional to the
-signal: a gain that differs between trials, and the model-discretisation discrepancy. Both sizes are
-constants of `slider_jax.channels`. An effect smaller than these two parts cannot be identified.
+signal: a gain that differs between trials, and the model-discretisation discrepancy. The experiment
+file declares both sizes, or the constants of `slider_jax.channels` apply. The loop replaces the
+constant discrepancies by measured ones (`measured_discrepancy`).
 """
 
 from collections import OrderedDict
@@ -52,13 +53,20 @@ SETTLED = 1e-9
 
 
 class Noise(NamedTuple):
-    """Standard deviations of one channel's noise, in the unit of the channel; `slow_time` in s."""
+    """Standard deviations of one channel's noise, in the unit of the channel; `slow_time` in s.
+
+    Gain and discrepancy are fractions of the signal.
+    """
 
     white: float | np.ndarray
     """One value, or one value per reading (n,)."""
     slow: float = 0.0
     slow_time: float = 0.1
     tare: float = 0.0
+    gain: float = 0.0
+    """Standard deviation of a trial's gain, as a fraction of the reading."""
+    discrepancy: float = 0.0
+    """Model-discretisation discrepancy, as a fraction of the channel's rms."""
 
 
 def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> Noise:
@@ -74,12 +82,36 @@ def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> No
         white = max(noise_floor(there), 1e-9 * max(float(np.ptp(there)), 1e-12))
     elif kind == "pressure":
         white = float(np.hypot(white, quantisation_step(there) / np.sqrt(12.0)))
+    gain, discrepancy = signal_shares(sensors, channel)
+    noise = Noise(white, gain=gain, discrepancy=discrepancy)
     if kind == "camera":
         # A robot that still swings at the start is not at rest, so the tip's tare has an error.
-        return Noise(white, tare=sensors.start_swing)
+        return noise._replace(tare=sensors.start_swing)
     if kind == "force":
-        return Noise(white, sensors.force_slow_noise, sensors.force_slow_time, sensors.force_tare)
-    return Noise(white)
+        return noise._replace(
+            slow=sensors.force_slow_noise,
+            slow_time=sensors.force_slow_time,
+            tare=sensors.force_tare,
+        )
+    return noise
+
+
+def declared_shares(sensors: SensorsTable, channel: str) -> tuple[float | None, float | None]:
+    """Returns the gain and the discrepancy that an experiment declares for a channel, or None."""
+    key = CHANNELS[channel].share_key
+    if not key:
+        return None, None
+    return getattr(sensors, f"{key}_gain"), getattr(sensors, f"{key}_discrepancy")
+
+
+def signal_shares(sensors: SensorsTable, channel: str) -> tuple[float, float]:
+    """Returns a channel's gain and discrepancy: the declared values, or else the constants."""
+    constants = CHANNELS[channel].gain, CHANNELS[channel].discrepancy
+    gain, discrepancy = (
+        constant if declared is None else declared
+        for declared, constant in zip(declared_shares(sensors, channel), constants, strict=True)
+    )
+    return gain, discrepancy
 
 
 def quantisation_step(values: np.ndarray) -> float:
@@ -102,9 +134,10 @@ class Whitener:
     """Transforms series of one trial and channel to independent samples of unit variance.
 
     `t` (n,) [s] are the sample times. `model` (n,) are the predicted readings, which scale the
-    noise that is proportional to the signal. If `frequency` [Hz] is given, the model-discretisation
-    discrepancy is correlated between strides. Tare, gain and `spans` (k, n) are marginalised. Each
-    span is a series that is multiplied by an unknown random factor of unit variance.
+    parts of the noise that are proportional to the signal. If `frequency` [Hz] is given, the
+    model-discretisation discrepancy is correlated between strides. Tare, gain and `spans` (k, n)
+    are marginalised. Each span is a series that is multiplied by an unknown random factor of unit
+    variance.
 
     The covariance is S + U^T U. The rows of U are tare, gain and spans. S is the covariance of
     white noise, slow noise and discrepancy. A Kalman filter whitens the noise S by blocks of
@@ -119,11 +152,10 @@ class Whitener:
         t: np.ndarray,
         noise: Noise,
         model: np.ndarray,
-        channel: str,
         frequency: float | None = None,
         spans: np.ndarray | None = None,
     ):
-        scale = CHANNELS[channel].discrepancy * (float(np.std(model)) if len(model) > 1 else 0.0)
+        scale = noise.discrepancy * (float(np.std(model)) if len(model) > 1 else 0.0)
         scale = _rounded(scale)
         variance = np.broadcast_to(np.square(noise.white), t.shape)
         # Without white noise, rounding errors could make the covariance of a block indefinite.
@@ -135,7 +167,7 @@ class Whitener:
         repeated = (i for i in numbers[:-1] if _same(self._pattern(i), self._pattern(i + 1)))
         self._regular = self._matrices(self._pattern(next(repeated, 0)))
         self._gains = self._filter()
-        unknown = [noise.tare * np.ones_like(t), CHANNELS[channel].gain * model]
+        unknown = [noise.tare * np.ones_like(t), noise.gain * model]
         rows = np.stack(unknown if spans is None else [*unknown, *spans])
         _, size, self._low = np.linalg.svd(self._stationary(rows), full_matrices=False)
         self._shrink = 1.0 / np.sqrt(1.0 + size**2) - 1.0
@@ -189,7 +221,7 @@ class Whitener:
     def _covariance(self, gap: np.ndarray) -> np.ndarray:
         """Returns the covariance of two readings at times that differ by `gap` [s]."""
         slow = self._noise.slow**2 * np.exp(-gap / self._noise.slow_time)
-        return slow + self._scale**2 * _discrepancy_correlation(gap, self._frequency)
+        return slow + self._scale**2 * discrepancy_correlation(gap, self._frequency)
 
     def _filter(self) -> list["_Gain"]:
         """Returns the gain of every block by the recursion of the state's covariance."""
@@ -254,7 +286,7 @@ class _Modes(NamedTuple):
             single = [[scale], [1.0 / DISCREPANCY_TIME], [0.0], [0.0], [0.0]]
             return cls(*np.hstack([slow, single]))
         phases = np.arange(PHASES) / PHASES / frequency
-        lag = _discrepancy_correlation(phases, frequency)
+        lag = discrepancy_correlation(phases, frequency)
         share = np.fft.rfft(lag * np.exp(phases * frequency / DISCREPANCY_STRIDES)).real / PHASES
         share = np.maximum(share[: MAX_HARMONICS + 1], 0.0)
         share[1:] *= 2.0
@@ -376,7 +408,7 @@ class _Gain(NamedTuple):
         return (basis * self.keep.T) @ basis.T + fresh
 
 
-def _discrepancy_correlation(lag: np.ndarray, frequency: float | None) -> np.ndarray:
+def discrepancy_correlation(lag: np.ndarray, frequency: float | None) -> np.ndarray:
     """Returns the correlation of the model-discretisation discrepancy at a time `lag` [s].
 
     Within a stride, the correlation decreases exponentially with the chord between two phases on a

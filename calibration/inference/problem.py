@@ -12,13 +12,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, final
+from typing import NamedTuple, Self, final
 
 import numpy as np
 
 from calibration.inference.cache import Memo, cached
 from calibration.inference.measured_noise import ChannelNoise
-from calibration.inference.noise import Noise, Whitener, channel_noise
+from calibration.inference.noise import Noise, Whitener, channel_noise, declared_shares
 from calibration.measurements.records import Record
 from calibration.model.extended import acting_entries, base_values, base_vector, model_parameters
 from calibration.model.initial_swing import swing_spans
@@ -99,6 +99,26 @@ class AbstractProblem(ABC):
     noise: dict[tuple[int, str], Noise]
     memo: Memo | None = None
     """Cache of simulated readings."""
+    declared: Mapping[str, float] = field(default_factory=dict)
+    """Declared model-discretisation discrepancies, as fractions of the channel's rms."""
+
+    @property
+    def discrepancies(self) -> dict[str, float]:
+        """Returns each channel's discrepancy in the noise, as a fraction of the channel's rms."""
+        return {channel: noise.discrepancy for (_, channel), noise in self.noise.items()}
+
+    def with_discrepancies(self, found: Mapping[str, float]) -> Self:
+        """Returns this problem with the discrepancies `found` of channels in the noise."""
+        noise = {
+            key: x._replace(discrepancy=found.get(key[1], x.discrepancy))
+            for key, x in self.noise.items()
+        }
+        return replace(self, noise=noise)
+
+    @property
+    def mesh_ratio(self) -> float:
+        """Returns the number of cells of the fine mesh, divided by that of the coarse mesh."""
+        return 1.0
 
     @abstractmethod
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]: ...
@@ -155,9 +175,7 @@ class AbstractProblem(ABC):
             row = row_of(channel)
             model = np.nan_to_num(predicted[i][row][there])
             swings = None if swing is None else swing[i][:, row, there]
-            return key, Whitener(
-                r.t[there], self.noise[key], model, channel, r.trial.frequency, swings
-            )
+            return key, Whitener(r.t[there], self.noise[key], model, r.trial.frequency, swings)
 
         return dict(on_all_cores(one, list(self.noise)))
 
@@ -256,11 +274,21 @@ class TankProblem(AbstractProblem):
             coarse_plans=plans[1],
             mesh=coarse,
             swing=swing,
+            declared={
+                channel: discrepancy
+                for channel in channels
+                if (discrepancy := declared_shares(experiment.sensors, channel)[1]) is not None
+            },
         )
 
     def on_coarse_mesh(self) -> "TankProblem":
         # The names of cached readings do not contain the mesh.
         return replace(self, fine=self.coarse_plans, memo=None)
+
+    @property
+    def mesh_ratio(self) -> float:
+        fine, coarse = (x[0].numerics for x in (self.fine, self.coarse_plans))
+        return (fine.tail_cells + fine.body_cells) / (coarse.tail_cells + coarse.body_cells)
 
     def compilations(self, theta: np.ndarray) -> list[Callable[[], None]]:
         """Returns calls that compile the programs of readings and tangents, in the order of use."""

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.inference.noise import channel_noise
+from calibration.inference.noise import channel_noise, signal_shares
 from calibration.twin.block import FAULT_HYPOTHESES
-from slider_jax.channels import BUILT_IN, CHANNELS
+from slider_jax.channels import BUILT_IN
 from slider_jax.experiment.schema import SensorsTable
 
 REFERENCE, THRESHOLD = 2.0, 6.0
@@ -127,7 +127,7 @@ class Bands:
             if np.isfinite(values[i]).sum() >= MIN_SAMPLES:
                 sensor = channel_noise(sensors, channel, values[i])
                 noise[i] = max(noise[i], math.hypot(sensor.white, sensor.slow))
-        share = np.array([math.hypot(CHANNELS[c].gain, CHANNELS[c].discrepancy) for c in BUILT_IN])
+        share = np.array([math.hypot(*signal_shares(sensors, c)) for c in BUILT_IN])
         return cls(noise, share, size)
 
     @classmethod

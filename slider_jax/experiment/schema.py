@@ -12,6 +12,7 @@ Length = Annotated[float, Quantity(0.0, 3.0, "m")]
 Stiffness = Annotated[float, Quantity(1.0, 1e7, "N")]
 Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
 Force = Annotated[float, Quantity(0.0, 10.0, "N")]
+Share = Annotated[float, Quantity(0.0, 0.5)]
 FEWEST_NODES = 11
 """Smallest number of nodes along a robot; fewer nodes do not resolve the bending."""
 FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
@@ -116,7 +117,10 @@ class ParametersTable(Table):
 
 
 class SensorsTable(Table):
-    """[sensors]: standard deviations and correlation time of sensor errors, and sample rate."""
+    """[sensors]: standard deviations and correlation time of sensor errors, and sample rate.
+
+    Gains are fractions of the reading, and discrepancies are fractions of the channel's rms.
+    """
 
     pressure_noise: Annotated[float, Quantity(0.0, 1e5, "Pa")] = 0.0
     force_noise: Force = 0.0
@@ -125,6 +129,14 @@ class SensorsTable(Table):
     force_slow_time: Annotated[float, Quantity(1e-3, 100.0, "s")] = 0.1
     tip_noise: Annotated[float, Quantity(0.0, 0.1, "m")] = 0.0
     start_swing: Annotated[float, Quantity(0.0, 0.1, "m")] = 0.0
+    pressure_gain: Share | None = None
+    thrust_gain: Share | None = None
+    recoil_gain: Share | None = None
+    tip_gain: Share | None = None
+    pressure_discrepancy: Share | None = None
+    thrust_discrepancy: Share | None = None
+    recoil_discrepancy: Share | None = None
+    tip_discrepancy: Share | None = None
     sample_rate: Annotated[float, Quantity(1.0, 1e5, "Hz")] = 500.0
 
 

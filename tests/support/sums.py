@@ -16,6 +16,7 @@ class Sums:
 
     channels = ("tip",)
     maps = memo = None
+    mesh_ratio, discrepancies = 1.0, {"tip": 0.005}
 
     def __init__(self, truth, shapes=SHAPES, noise=0.1, seed=0):
         self.shapes, self.size = shapes, 1.0 / noise

@@ -170,18 +170,19 @@ def test_the_required_gain_grows_with_the_number_of_parameters():
     gains = [DEFAULT_SETTINGS.least_gain(n) for n in (1, 2, 3)]
     assert gains == pytest.approx([20.0, 23.5, 26.4], abs=0.1)
     sizes = {"tip": 1.0}
-    assert DEFAULT_SETTINGS.worth_naming(22.0, sizes)
-    assert not DEFAULT_SETTINGS.worth_naming(22.0, sizes, 2)
-    assert DEFAULT_SETTINGS.worth_naming(24.0, sizes, 2)
+    assert DEFAULT_SETTINGS.worth_naming(22.0, sizes, {"tip": 0.5})
+    assert not DEFAULT_SETTINGS.worth_naming(22.0, sizes, {"tip": 0.5}, 2)
+    assert DEFAULT_SETTINGS.worth_naming(24.0, sizes, {"tip": 0.5}, 2)
+    assert not DEFAULT_SETTINGS.worth_naming(24.0, sizes, {"tip": 1.1}, 2)
 
 
 def test_an_alternative_with_fewer_parameters_is_excluded_by_a_larger_loss():
-    fit, sizes = select(0.5, 1.0).final, {"tip": 1.0}
-    assert Alternative(fit, 22.0, sizes, fewer=0).is_excluded()
-    assert not Alternative(fit, 22.0, sizes, fewer=1).is_excluded()
-    assert Alternative(fit, 22.0, sizes, fewer=-1).is_excluded()
-    assert Alternative(fit, -22.0, sizes, fewer=1).is_better()
-    assert not Alternative(fit, -22.0, sizes, fewer=-1).is_better()
+    fit, sizes, limits = select(0.5, 1.0).final, {"tip": 1.0}, {"tip": 0.5}
+    assert Alternative(fit, 22.0, sizes, limits, fewer=0).is_excluded()
+    assert not Alternative(fit, 22.0, sizes, limits, fewer=1).is_excluded()
+    assert Alternative(fit, 22.0, sizes, limits, fewer=-1).is_excluded()
+    assert Alternative(fit, -22.0, sizes, limits, fewer=1).is_better()
+    assert not Alternative(fit, -22.0, sizes, limits, fewer=-1).is_better()
 
 
 def test_starts_are_inside_the_range_and_begin_with_the_default():

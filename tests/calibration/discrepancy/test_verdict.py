@@ -30,6 +30,7 @@ def judged(
         for n in effects
     ]
     search = Selection(fit, fit, list(effects), rounds, entries=list(ENTRIES))
+    search.discrepancies = {"tip": 0.005, "thrust": 0.07}
     if widened is not None:
         p = ENTRIES[DELAY]
         search.entries[DELAY] = p._replace(prior=p.prior._replace(high=widened))

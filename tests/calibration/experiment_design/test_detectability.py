@@ -65,7 +65,7 @@ def measured(still, theta, seed):
         for channel, noise in still.information.sensing.noise.items():
             # The covariance's Cholesky factor times white noise has the declared covariance.
             row = row_of(channel)
-            white = Whitener(p.at, noise, y[row], channel, p.trial.frequency)
+            white = Whitener(p.at, noise, y[row], p.trial.frequency)
             y[row] += np.linalg.solve(white(np.eye(len(p.at))).T, rng.normal(size=len(p.at)))
         found.append(Record(trial, p.at, y))
     return found
@@ -132,7 +132,7 @@ def test_a_nameable_effect_changes_a_channel_by_its_discrepancy(still, entries):
         )
         for row, channel in enumerate(CHANNELS):
             noise = f.sensing.noise[channel]
-            whiten = Whitener(p.at, noise, y[row], channel, trial.frequency)
+            whiten = Whitener(p.at, noise, y[row], trial.frequency)
             white.append(whiten(J[:, row]))
             raw[channel].append(J[:, row])
             signal[channel].append(y[row])

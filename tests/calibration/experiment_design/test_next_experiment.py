@@ -74,7 +74,8 @@ def outcome(tank, verdict, final, rounds=(), after=None):
     experiment, problem, _ = tank
     excess = after or {c: Excess(np.ones(2), 1.0) for c in CHANNELS}
     effects = [r.chosen for r in rounds if r.chosen]
-    search = Selection(final, final, effects, list(rounds))
+    limits = {"tip": 0.005}
+    search = Selection(final, final, effects, list(rounds), discrepancies=limits)
     used = {c: {"before": 0.0, "after": 0.0, "floor": 0.0} for c in CHANNELS}
     return LoopOutcome(
         experiment, ENTRIES, verdict, search, final, problem, used, {}, excess, [], []
@@ -100,7 +101,7 @@ def class_outcome(tank, alternative):
     theta = tank[2].copy()
     theta[MASS] = 0.1
     final = fitted(tank, theta, np.concatenate([FREE, MASS]))
-    alternatives = {"axial_added_mass": Alternative(alternative, 0.0, {})}
+    alternatives = {"axial_added_mass": Alternative(alternative, 0.0, {}, {})}
     step = SelectionStep([], [], "carried_mass", list(alternatives), alternatives)
     return outcome(tank, "class", final, [step])
 
@@ -150,7 +151,7 @@ def asked(monkeypatch):
 def test_the_trial_is_for_the_first_class_that_it_makes_smaller(tank, asked):
     final = fitted(tank, tank[2], FREE)
     rounds = [
-        SelectionStep([], [], name, [other], {other: Alternative(final, 0.0, {})})
+        SelectionStep([], [], name, [other], {other: Alternative(final, 0.0, {}, {})})
         for name, other in (("carried_mass", "axial_added_mass"), ("force_gain", "pressure_gain"))
     ]
     assert next_experiment(outcome(tank, "class", final, rounds))["name"] == "force_gain"
@@ -180,7 +181,7 @@ def test_a_measured_trial_is_predicted_at_the_times_of_its_record(tank):
 
 def test_the_report_lists_the_alternatives(tank):
     final = fitted(tank, tank[2], np.concatenate([FREE, MASS]))
-    worse = Alternative(final, 88.0, {"tip": 0.01})
+    worse = Alternative(final, 88.0, {"tip": 0.01}, {"tip": 0.005})
     refits = [
         Refit("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01, 0.01, 9.0), True)
     ]
@@ -207,16 +208,13 @@ def test_the_model_distance_is_the_least_squares_residual():
         ChannelInformation(i, "tip", J[half].T @ J[half], J[half].T @ J[half], 0.5 * square, 200)
         for i, half in enumerate((slice(200), slice(200, None)))
     ]
-    found = model_distance(channels, unit=1.0)
+    found = model_distance(channels, 1.0, {"tip": 0.004})
     assert found.sigmas == pytest.approx(np.sqrt(rest[0]), rel=1e-9)
-    assert model_distance(channels, unit=4.0).sigmas == pytest.approx(0.5 * found.sigmas)
+    assert model_distance(channels, 4.0, {}).sigmas == pytest.approx(0.5 * found.sigmas)
     residual = J[:, 2] - J[:, :2] @ step
     assert found.shares["tip"] == pytest.approx(np.sqrt(residual @ residual / square), rel=1e-9)
     assert found.threshold_ratio == pytest.approx(
-        min(
-            rest[0] / DEFAULT_SETTINGS.min_gain,
-            (found.shares["tip"] / CHANNELS["tip"].discrepancy) ** 2,
-        )
+        min(rest[0] / DEFAULT_SETTINGS.min_gain, (found.shares["tip"] / 0.004) ** 2)
     )
 
 

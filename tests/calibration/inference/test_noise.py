@@ -13,16 +13,15 @@ from calibration.inference.noise import (
     WHOLE,
     Noise,
     Whitener,
-    _discrepancy_correlation,
     _rounded,
     channel_noise,
+    discrepancy_correlation,
     quantisation_step,
 )
-from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import SensorsTable
 
 T = np.arange(1000) / 500.0
-NOISE = Noise(white=0.02, slow=0.01, slow_time=0.1, tare=0.01)
+NOISE = Noise(white=0.02, slow=0.01, slow_time=0.1, tare=0.01, gain=0.01, discrepancy=0.07)
 SIGNAL = 1e-9 * np.sin(2 * np.pi * T)
 
 
@@ -40,20 +39,20 @@ def sampled_noise(count, seed=0):
 
 
 def test_the_whitener_makes_declared_noise_white():
-    white = Whitener(T, NOISE, SIGNAL, "thrust")(sampled_noise(200))
+    white = Whitener(T, NOISE, SIGNAL)(sampled_noise(200))
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.02)
     spectrum = np.mean(np.abs(np.fft.rfft(white, axis=1)) ** 2, axis=0) / len(T)
     assert spectrum[:5].mean() == pytest.approx(1.0, abs=0.15)
     assert spectrum[-100:].mean() == pytest.approx(1.0, abs=0.05)
 
 
-def dense_root(t, noise, model, channel, frequency, spans=()):
+def dense_root(t, noise, model, frequency, spans=()):
     """Returns the Cholesky factor of the declared covariance, without any approximation."""
     lag = np.abs(t[:, None] - t)
-    scale = _rounded(CHANNELS[channel].discrepancy * np.std(model))
+    scale = _rounded(noise.discrepancy * np.std(model))
     cov = noise.slow**2 * np.exp(-lag / noise.slow_time)
-    cov += scale**2 * _discrepancy_correlation(lag, frequency) + noise.tare**2
-    for row in (CHANNELS[channel].gain * model, *spans):
+    cov += scale**2 * discrepancy_correlation(lag, frequency) + noise.tare**2
+    for row in (noise.gain * model, *spans):
         cov += np.outer(row, row)
     return cholesky(cov + np.diag(np.broadcast_to(np.square(noise.white), t.shape)), lower=True)
 
@@ -66,10 +65,8 @@ def test_a_short_series_is_whitened_by_the_exact_covariance(n, frequency):
     noise = NOISE._replace(white=0.02 * np.exp(rng.normal(size=n)))
     signal, spans = 0.3 * np.sin(9.0 * t), 0.1 * rng.normal(size=(2, n))
     series = rng.normal(size=(4, n))
-    white = Whitener(t, noise, signal, "thrust", frequency, spans)(series)
-    exact = solve_triangular(
-        dense_root(t, noise, signal, "thrust", frequency, spans), series.T, lower=True
-    )
+    white = Whitener(t, noise, signal, frequency, spans)(series)
+    exact = solve_triangular(dense_root(t, noise, signal, frequency, spans), series.T, lower=True)
     scale = np.abs(exact.T @ exact).max()
     np.testing.assert_allclose(white @ white.T, exact.T @ exact, rtol=0.0, atol=1e-10 * scale)
 
@@ -78,32 +75,31 @@ EVEN = np.arange(3000) / 500.0
 UNEVEN = np.sort(np.random.default_rng(5).uniform(0.0, 6.0, 3000))
 GAPS = EVEN + 0.7 * (EVEN > 0.2) + 1.9 * (EVEN > 3.3)
 LOUD = NOISE._replace(white=0.02 * np.exp(0.5 * np.random.default_rng(6).normal(size=3000)))
-PRESSURE = Noise(white=750.0)
+RECOIL = NOISE._replace(discrepancy=0.012)
+PRESSURE = Noise(white=750.0, gain=0.002, discrepancy=0.002)
 
 
 @pytest.mark.parametrize(
-    ("t", "noise", "channel", "amplitude", "frequency"),
+    ("t", "noise", "amplitude", "frequency"),
     [
-        (EVEN, NOISE, "thrust", 0.3, None),
-        (EVEN, NOISE, "thrust", 0.3, 1.0),
-        (EVEN, NOISE, "thrust", 0.3, 2.2),
-        (EVEN, NOISE, "recoil", 2.0, 4.8),
-        (EVEN, PRESSURE, "p_front", 2e5, 1.0),
-        (EVEN, PRESSURE, "p_front", 2e5, 2.2),
-        (EVEN, PRESSURE, "p_front", 2e5, 4.8),
-        (UNEVEN, NOISE, "thrust", 0.3, 2.2),
-        (GAPS, NOISE, "recoil", 2.0, 2.2),
-        (EVEN, LOUD, "thrust", 0.3, 2.2),
+        (EVEN, NOISE, 0.3, None),
+        (EVEN, NOISE, 0.3, 1.0),
+        (EVEN, NOISE, 0.3, 2.2),
+        (EVEN, RECOIL, 2.0, 4.8),
+        (EVEN, PRESSURE, 2e5, 1.0),
+        (EVEN, PRESSURE, 2e5, 2.2),
+        (EVEN, PRESSURE, 2e5, 4.8),
+        (UNEVEN, NOISE, 0.3, 2.2),
+        (GAPS, RECOIL, 2.0, 2.2),
+        (EVEN, LOUD, 0.3, 2.2),
     ],
 )
-def test_a_long_series_is_whitened_as_by_the_dense_covariance(
-    t, noise, channel, amplitude, frequency
-):
+def test_a_long_series_is_whitened_as_by_the_dense_covariance(t, noise, amplitude, frequency):
     """The tolerances were chosen before the comparison: 2 % of the variance, 5 % of information."""
     f = frequency or 1.0
     signal = amplitude * np.sin(2 * np.pi * f * t)
-    root = dense_root(t, noise, signal, channel, frequency)
-    whiten = Whitener(t, noise, signal, channel, frequency)
+    root = dense_root(t, noise, signal, frequency)
+    whiten = Whitener(t, noise, signal, frequency)
     sampled = np.random.default_rng(7).normal(size=(40, len(t))) @ root.T
     white = whiten(sampled)
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.02)
@@ -128,7 +124,7 @@ def test_no_sample_of_a_long_trial_is_averaged_away():
     """The error is a change of shape with 20 % of the amplitude, in a trial of 100 s."""
     t = np.arange(50_000) / 500.0
     error = 2e4 * np.sign(np.cos(2 * np.pi * 2.083 * t))
-    whiten = Whitener(t, PRESSURE, 1e5 * np.sin(2 * np.pi * 2.083 * t), "p_front", 2.083)
+    whiten = Whitener(t, PRESSURE, 1e5 * np.sin(2 * np.pi * 2.083 * t), 2.083)
     white = whiten(error)
     assert white.shape == (1, len(t))
     assert np.mean(white**2) > 10.0
@@ -140,7 +136,7 @@ def memory(n):
     series = np.random.default_rng(8).normal(size=(5, n))
     signal = 1e5 * np.sin(2 * np.pi * 2.2 * t)
     tracemalloc.start()
-    whiten = Whitener(t, PRESSURE, signal, "p_front", 2.2)
+    whiten = Whitener(t, PRESSURE, signal, 2.2)
     kept = tracemalloc.get_traced_memory()[0]
     tracemalloc.reset_peak()
     whiten(series)
@@ -157,7 +153,7 @@ def test_memory_grows_by_a_few_numbers_per_sample():
 
 def test_a_gain_within_its_share_counts_less_than_a_change_of_shape():
     signal = 0.3 * np.sin(2 * np.pi * 3 * T)
-    whiten = Whitener(T, NOISE, signal, "recoil")
+    whiten = Whitener(T, RECOIL, signal)
     gain, shape = whiten(np.stack([0.01 * signal, 0.01 * np.cos(2 * np.pi * 3 * T)]))
     assert np.sum(gain**2) < 1.5
     assert np.sum(shape**2) > 5 * np.sum(gain**2)
@@ -182,23 +178,21 @@ def test_undeclared_white_noise_is_estimated_from_the_data():
 def test_the_discrepancy_is_correlated_over_strides(frequency):
     t = np.arange(600) / 500.0
     lag = np.abs(t[:, None] - t[None])
-    cov = _discrepancy_correlation(lag, frequency)
+    cov = discrepancy_correlation(lag, frequency)
     assert np.linalg.eigvalsh(cov).min() > -1e-9
-    stride = _discrepancy_correlation(np.array([0.0, 0.5, 1.0, 2.0]) / frequency, frequency)
+    stride = discrepancy_correlation(np.array([0.0, 0.5, 1.0, 2.0]) / frequency, frequency)
     half = np.exp(-1.0 / (np.pi * frequency * DISCREPANCY_TIME) - 0.5 / DISCREPANCY_STRIDES)
     np.testing.assert_allclose(stride, [1.0, half, np.exp(-0.1), np.exp(-0.2)], rtol=1e-9)
-    np.testing.assert_allclose(_discrepancy_correlation(lag, None), np.exp(-lag / DISCREPANCY_TIME))
+    np.testing.assert_allclose(discrepancy_correlation(lag, None), np.exp(-lag / DISCREPANCY_TIME))
 
 
 def test_strides_do_not_average_out_a_periodic_discrepancy():
     signal = 3.0 * np.sin(2 * np.pi * 5 * T)
     series = 0.05 * np.cos(2 * np.pi * 5 * T)
-    steady, fresh = (
-        np.sum(Whitener(T, NOISE, signal, "thrust", f)(series) ** 2) for f in (5.0, None)
-    )
+    steady, fresh = (np.sum(Whitener(T, NOISE, signal, f)(series) ** 2) for f in (5.0, None))
     assert fresh > 3.0 * steady
 
 
 def test_non_finite_readings_stay_non_finite():
-    white = Whitener(T, NOISE, SIGNAL, "thrust")(np.stack([np.full_like(T, np.nan), T]))
+    white = Whitener(T, NOISE, SIGNAL)(np.stack([np.full_like(T, np.nan), T]))
     assert np.isnan(white[0]).any() and np.isfinite(white[1]).all()

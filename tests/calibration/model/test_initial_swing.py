@@ -78,10 +78,10 @@ def test_whitening_suppresses_a_known_shape_of_unknown_size():
     shape = np.stack([np.exp(-3 * t) * np.cos(8 * t), np.exp(-3 * t) * np.sin(8 * t)])
     noise, still = Noise(1e-5), 0.0 * t
     series = 2e-4 * (0.7 * shape[0] - shape[1])
-    known = Whitener(t, noise, still, "tip", spans=2e-4 * shape)(series)
-    plain = Whitener(t, noise, still, "tip")(series)
+    known = Whitener(t, noise, still, spans=2e-4 * shape)(series)
+    plain = Whitener(t, noise, still)(series)
     assert np.sum(known**2) < 2.0 < 1e3 < np.sum(plain**2)
-    other = Whitener(t, noise, still, "tip", spans=2e-4 * shape)(1e-4 * np.cos(40 * t))
+    other = Whitener(t, noise, still, spans=2e-4 * shape)(1e-4 * np.cos(40 * t))
     assert np.sum(other**2) > 1e3
 
 

@@ -1,0 +1,187 @@
+"""Measures the model-discretisation discrepancy of each channel from a fit.
+
+The discrepancy has two parts. The model's own discretisation error is extrapolated from the
+readings of two meshes (Richardson, L. F. (1911), Phil. Trans. R. Soc. A 210, 307-357). It is the
+lower limit of the discrepancy. The errors of the data that repeat in each stride are measured by
+the maximum likelihood of the residual.
+
+The error of a trial with the rms signal S is s S times a linear combination of curves B. The
+coefficients are normal and independent, and the curves have the correlation of
+`noise.discrepancy_correlation` between phases of the stride. With the whitened curves W B, in which
+W whitens all other noise, and the eigenvalues g and eigenvectors of S^2 (W B) (W B)^T, the whitened
+residual has the independent components z along the eigenvectors:
+
+    variance of z_k = 1 + s^2 g_k,    D(s) = sum of log(1 + s^2 g_k) + z_k^2 / (1 + s^2 g_k)
+
+s minimises the deviance D, which is summed over the trials of the channel. The loop uses the
+largest s whose deviance exceeds the minimum by at most `DEVIANCE`. Noise alone thus never gives a
+discrepancy that these data could not have shown.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import eigh
+
+from calibration.inference.noise import (
+    DISCREPANCY_STRIDES,
+    DISCREPANCY_TIME,
+    WHOLE,
+    Whitener,
+    discrepancy_correlation,
+)
+from calibration.inference.problem import AbstractProblem
+from slider_jax.channels import CHANNELS, row_of
+
+ORDER = 2
+"""Order of convergence with the number of cells and steps. With twice the cells and steps of the
+fine mesh, the readings of sixteen trials change by 0.6 to 1.3 times the extrapolated error."""
+PHASE_STEP = 0.5 * DISCREPANCY_TIME
+"""Width of the steps of the curves B [s]."""
+LONGEST_STRIDE = 2.56
+"""Duration [s] that is examined in a trial whose drive has no frequency or a longer period."""
+DEVIANCE = 1.0
+"""Increase of the deviance at one standard error."""
+GRID = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 241)])
+"""Values of s that are compared, divided by the constant of the channel; steps of 3 %."""
+LEAST_MODE = 1e-2
+"""Components are omitted if the largest possible discrepancy changes their variance by less."""
+LEAST_FALL = 0.2
+"""New discrepancies replace those in the noise if one of them is smaller by this fraction."""
+
+
+class Discrepancy(NamedTuple):
+    """Model-discretisation discrepancy of a channel, as a fraction of the channel's rms."""
+
+    declared: float | None
+    lower_limit: float
+    """Discretisation error of the model, extrapolated from two meshes."""
+    measured: float | None
+    """Error of the data that repeats in each stride. None: no trial has enough readings."""
+    used: float
+    """Declared value, or else the measured value plus one standard error, within its limits."""
+
+
+class SeriesError(NamedTuple):
+    """Components of the repeating error in one trial and channel."""
+
+    here: np.ndarray
+    """Mask (n,) of the examined readings."""
+    whiten: Whitener
+    """Whitener for all noise except the discrepancy."""
+    modes: np.ndarray
+    """Eigenvectors (k, n) of unit length, in the space of whitened readings."""
+    sizes: np.ndarray
+    """Eigenvalues (k,): variance of a component for a discrepancy of 1."""
+
+    def components(self, residual: np.ndarray) -> np.ndarray:
+        """Returns the components z (k,) of a residual (n,)."""
+        return self.modes @ self.whiten(residual[self.here])[0]
+
+
+class DiscrepancyMeter:
+    """Measures the discrepancies of the fits of one problem."""
+
+    def __init__(self, problem: AbstractProblem, fine: list[np.ndarray], coarse: list[np.ndarray]):
+        """`fine` and `coarse` are readings with the same parameters on both meshes."""
+        self.problem = problem
+        self.lower_limits = discretisation_errors(problem, fine, coarse)
+        spans = problem.spans()
+
+        def one(key: tuple[int, str]) -> tuple[tuple[int, str], SeriesError]:
+            i, channel = key
+            r, row, there = problem.records[i], row_of(channel), problem.records[i].there(channel)
+            swings = None if spans is None else spans[i][:, row, there]
+            model = np.nan_to_num(fine[i][row][there])
+            return key, _series_error(problem, key, r.t[there], model, swings)
+
+        # Threads would compete with the threads of the linear algebra and take ten times as long.
+        self._series = dict(one(key) for key in problem.noise)
+
+    def __call__(self, predicted: Sequence[np.ndarray]) -> dict[str, Discrepancy]:
+        """Returns the discrepancy of each channel for the model's readings `predicted`."""
+        parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+        for (i, channel), x in self._series.items():
+            r, row = self.problem.records[i], row_of(channel)
+            z = x.components((r.values[row] - predicted[i][row])[r.there(channel)])
+            if len(z) and np.isfinite(z).all():
+                parts.setdefault(channel, []).append((x.sizes, z))
+        return {c: self._discrepancy(c, parts.get(c, [])) for c in self.problem.discrepancies}
+
+    def _discrepancy(self, channel: str, parts: list[tuple[np.ndarray, np.ndarray]]) -> Discrepancy:
+        most, least = CHANNELS[channel].discrepancy, self.lower_limits.get(channel, 0.0)
+        measured, upper = likely_error(parts, most) if parts else (None, most)
+        declared = self.problem.declared.get(channel)
+        used = max(upper, least) if declared is None else declared
+        return Discrepancy(declared, least, measured, used)
+
+
+def _series_error(
+    problem: AbstractProblem,
+    key: tuple[int, str],
+    t: np.ndarray,
+    model: np.ndarray,
+    swings: np.ndarray | None,
+) -> SeriesError:
+    frequency, noise = problem.records[key[0]].trial.frequency, problem.noise[key]
+    repeats = frequency is not None and frequency * LONGEST_STRIDE >= 1.0
+    period = 1.0 / frequency if frequency and repeats else LONGEST_STRIDE
+    late = t - t[0]
+    here = late < period * (DISCREPANCY_STRIDES if repeats else 1.0)
+    here &= np.arange(len(t)) < WHOLE
+    noise = noise._replace(discrepancy=0.0, white=np.broadcast_to(noise.white, t.shape)[here])
+    whiten = Whitener(
+        t[here], noise, model[here], frequency, None if swings is None else swings[:, here]
+    )
+    count = max(1, round(period / PHASE_STEP))
+    step = np.minimum((late[here] % period / period * count).astype(int), count - 1)
+    middle = (np.arange(count) + 0.5) * period / count
+    gap = np.abs(middle[:, None] - middle)
+    values, vectors = eigh(discrepancy_correlation(gap, frequency if repeats else None))
+    curves = float(np.std(model)) * np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    white = whiten(curves[:, step])
+    sizes, turn = eigh(white @ white.T)
+    kept = sizes * CHANNELS[key[1]].discrepancy ** 2 > LEAST_MODE
+    modes = turn[:, kept].T @ white / np.sqrt(sizes[kept])[:, None]
+    return SeriesError(here, whiten, modes, sizes[kept])
+
+
+def likely_error(
+    parts: Sequence[tuple[np.ndarray, np.ndarray]], most: float
+) -> tuple[float, float]:
+    """Returns the s of least deviance and the largest s within `DEVIANCE`, both at most `most`.
+
+    `parts` are the eigenvalues g (k,) and components z (k,) of each trial.
+    """
+    g, z = (np.concatenate(x) for x in zip(*parts, strict=True))
+    variance = 1.0 + np.square(most * GRID)[:, None] * g
+    deviance = np.sum(np.log(variance) + z**2 / variance, axis=1)
+    within = np.flatnonzero(deviance <= deviance.min() + DEVIANCE)
+    return most * float(GRID[np.argmin(deviance)]), most * float(GRID[within[-1]])
+
+
+def discretisation_errors(
+    problem: AbstractProblem, fine: Sequence[np.ndarray], coarse: Sequence[np.ndarray]
+) -> dict[str, float]:
+    """Returns the error of the fine mesh in each channel, as a fraction of the channel's rms.
+
+    Richardson's extrapolation gives the error as (fine - coarse) / (ratio^p - 1) with the order p.
+    Tare and gain absorb a constant and a multiple of the readings. The result is the median over
+    the trials, so that one trial does not matter.
+    """
+    found: dict[str, list[float]] = {}
+    for i, channel in problem.noise:
+        row, there = row_of(channel), problem.records[i].there(channel)
+        y, other = fine[i][row][there], coarse[i][row][there]
+        if np.isfinite(y).all() and np.isfinite(other).all() and np.std(y) > 0.0:
+            columns = np.stack([np.ones_like(y), y], axis=1)
+            rest = other - columns @ np.linalg.lstsq(columns, other, rcond=None)[0]
+            found.setdefault(channel, []).append(float(np.std(rest) / np.std(y)))
+    share = 1.0 / (problem.mesh_ratio**ORDER - 1.0)
+    return {channel: share * float(np.median(x)) for channel, x in found.items()}
+
+
+def fell(found: Mapping[str, Discrepancy], before: Mapping[str, float]) -> bool:
+    """Returns whether a discrepancy is clearly smaller than the value `before` in the noise."""
+    return any(x.used < (1.0 - LEAST_FALL) * before[c] for c, x in found.items())
