@@ -3,14 +3,19 @@
 Each effect adds a tone to the thrust; the effects' physical meaning is not used.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from calibration.discrepancy.close_loop import conclude
+from calibration.discrepancy.page import loop_page
+from calibration.discrepancy.report import loop_record
 from calibration.discrepancy.selection import select_effects
 from calibration.inference.problem import TankProblem
-from calibration.model.extended import BASE, base_vector, model_parameters
+from calibration.model.extended import BASE, base_values, base_vector, model_parameters
 from calibration.model.predict import Resolution
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import CHANNELS, row_of
 from tests.support import closed_form_tank as tank
 
 NAMES = ("carried_mass", "valve_delay")
@@ -57,3 +62,48 @@ def test_without_a_second_mesh_the_constants_apply():
 def test_a_declared_discrepancy_hides_a_smaller_effect():
     found, _ = selection(0.02, declared=0.03)
     assert not found.effects and found.discrepancies["thrust"] == 0.03
+
+
+def repeating_curve(t, f, rng):
+    """Returns a periodic curve of unit rms with the spectrum of a correlation time of 20 ms."""
+    omega = 2.0 * np.pi * f * np.arange(1, 16)[:, None]
+    a, b = rng.normal(size=(2, 15)) / np.sqrt(1.0 + (0.02 * omega[:, 0]) ** 2)
+    curve = a @ np.cos(omega * t) + b @ np.sin(omega * t)
+    return curve / np.std(curve)
+
+
+def report(share):
+    """Returns report.json and the page for data with a repeating error of the thrust."""
+    experiment = tank.experiment_of(FREQUENCIES)
+    records = tank.measured(experiment, [np.array([*THETA, 0.0, 0.0])] * len(FREQUENCIES), 2)
+    row, rng = row_of("thrust"), np.random.default_rng(3)
+    for i, r in enumerate(records):
+        values, error = r.values.copy(), repeating_curve(r.t, FREQUENCIES[i], rng)
+        values[row] += share * np.std(values[row]) * error
+        records[i] = replace(r, values=values)
+    outcome = conclude(
+        experiment,
+        NAMES,
+        records,
+        [2],
+        lambda chosen: TankProblem.of(
+            experiment, list(chosen), NAMES, fine=FINER, coarse=tank.MESH
+        ),
+        base_values(experiment),
+        tuple(BASE),
+        lambda text: None,
+    )
+    record = loop_record(outcome, 1.0, {"path": "a", "sha256": "0"})
+    assert outcome.problem.discrepancies == outcome.search.discrepancies
+    return record, loop_page(outcome, record)
+
+
+def test_a_repeating_error_is_reported_and_is_no_missing_effect():
+    record, page = report(0.03)
+    thrust = record["discrepancy"]["thrust"]
+    assert record["verdict"] == "nothing_missing"
+    assert thrust["measured"] == pytest.approx(0.03, rel=0.25)
+    assert thrust["lower_limit"] < 1e-9 and thrust["used"] < 0.05 and thrust["declared"] is None
+    sentence = f"repeatable error of {100.0 * thrust['measured']:.2g} % of the thrust"
+    assert sentence in record["said"] and sentence in page
+    assert f"<td>{100.0 * thrust['used']:.2g} %</td>" in page
