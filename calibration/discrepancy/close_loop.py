@@ -253,7 +253,8 @@ def veto_effects(
     The loop removes the effect with the largest growth and then tests the other effects again.
     `problem` contains the trials of the selection, and `rest` the held-out trials.
     """
-    white = problem.whiteners(found.base.predicted)
+    # Without its only effect, the model is the base model, which needs no refit.
+    white = problem.whiteners(found.base.predicted) if len(found.effects) > 1 else {}
     refits = Refits(problem, found.entries, white, progress, found.settings)
     while found.effects:
         less = {name: _without(refits, found, name) for name in found.effects}

@@ -7,9 +7,6 @@ file declares both sizes, or the constants of `slider_jax.channels` apply. The l
 constant discrepancies by measured ones (`measured_discrepancy`).
 """
 
-from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -40,11 +37,6 @@ PHASES = 2**14
 TIME_TOLERANCE = 0.01 * DISCREPANCY_TIME
 """Blocks share matrices if their sample times differ by less [s]. Correlations then change by at
 most 1 %."""
-SCALE_STEP = 0.02
-"""Relative step to which the size of the discrepancy is rounded. Whiteners of nearly the same model
-then share their Cholesky factors."""
-KEPT_BYTES = 600e6
-"""Memory for the matrices of recent blocks, which later whiteners use again [B]."""
 EVEN_TOLERANCE = 1e-3 * DISCREPANCY_TIME
 """Sample times count as evenly spaced if none differs by more [s]. The covariance is then computed
 from one row."""
@@ -156,7 +148,6 @@ class Whitener:
         spans: np.ndarray | None = None,
     ):
         scale = noise.discrepancy * (float(np.std(model)) if len(model) > 1 else 0.0)
-        scale = _rounded(scale)
         variance = np.broadcast_to(np.square(noise.white), t.shape)
         # Without white noise, rounding errors could make the covariance of a block indefinite.
         self._white = np.maximum(variance, 1e-12 * (noise.slow**2 + scale**2))
@@ -198,11 +189,6 @@ class Whitener:
 
     def _matrices(self, pattern: "_Pattern") -> "_Block":
         """Returns the matrices of a block with the given sample times and noise."""
-        sizes = (str(pattern.span), *self._noise[1:3], self._scale, self._frequency or 0.0)
-        kind = (pattern.lag.tobytes(), pattern.white.tobytes(), *sizes, len(self._modes.rate))
-        return _RECENT.get(kind, lambda: self._made(pattern))
-
-    def _made(self, pattern: "_Pattern") -> "_Block":
         lag, span = pattern.lag, pattern.lag[-1] if np.isnan(pattern.span) else pattern.span
         even = np.linspace(0.0, lag[-1], len(lag))
         if np.abs(lag - even).max() < EVEN_TOLERANCE:
@@ -349,38 +335,6 @@ class _Block(NamedTuple):
         if n == len(self.root):
             return self
         return self._replace(root=self.root[:n, :n], seen=self.seen[:n], link=self.link[:n])
-
-
-class _RecentBlocks:
-    """Keeps the matrices of the blocks that were used last, up to `KEPT_BYTES`."""
-
-    def __init__(self) -> None:
-        self._found: OrderedDict[Hashable, _Block] = OrderedDict()
-        self._bytes = 0
-        self._lock = Lock()
-
-    def get(self, kind: Hashable, make: Callable[[], _Block]) -> _Block:
-        """Returns the block of this kind, or stores and returns `make()`."""
-        with self._lock:
-            if kind in self._found:
-                self._found.move_to_end(kind)
-                return self._found[kind]
-        made = make()
-        with self._lock:
-            if kind not in self._found:
-                self._found[kind] = made
-                self._bytes += made.root.nbytes
-            while self._bytes > KEPT_BYTES:
-                self._bytes -= self._found.popitem(last=False)[1].root.nbytes
-        return made
-
-
-_RECENT = _RecentBlocks()
-
-
-def _rounded(scale: float) -> float:
-    """Returns the size of the discrepancy, rounded to steps of `SCALE_STEP`."""
-    return float(np.exp(SCALE_STEP * np.round(np.log(scale) / SCALE_STEP))) if scale > 0.0 else 0.0
 
 
 class _Gain(NamedTuple):

@@ -13,7 +13,6 @@ from calibration.inference.noise import (
     WHOLE,
     Noise,
     Whitener,
-    _rounded,
     channel_noise,
     discrepancy_correlation,
     quantisation_step,
@@ -49,7 +48,7 @@ def test_the_whitener_makes_declared_noise_white():
 def dense_root(t, noise, model, frequency, spans=()):
     """Returns the Cholesky factor of the declared covariance, without any approximation."""
     lag = np.abs(t[:, None] - t)
-    scale = _rounded(noise.discrepancy * np.std(model))
+    scale = noise.discrepancy * np.std(model)
     cov = noise.slow**2 * np.exp(-lag / noise.slow_time)
     cov += scale**2 * discrepancy_correlation(lag, frequency) + noise.tare**2
     for row in (noise.gain * model, *spans):
