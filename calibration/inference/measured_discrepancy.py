@@ -32,7 +32,7 @@ from calibration.inference.noise import (
     discrepancy_correlation,
 )
 from calibration.inference.problem import AbstractProblem
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import BUILT_IN, CHANNELS, row_of
 
 ORDER = 2
 """Order of convergence with the number of cells and steps. In sixteen trials, the extrapolated
@@ -47,6 +47,10 @@ GRID = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 241)])
 """Values of s that are compared, divided by the constant of the channel; steps of 3 %."""
 LEAST_MODE = 1e-2
 """Components are omitted if the largest possible discrepancy changes their variance by less."""
+CONSTANT = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "pressure")
+"""Channels whose discrepancy is not measured. Both meshes have the same pressures, so there is no
+lower limit. Errors of the pressures may also repeat after several strides only: with time steps of
+0.2 ms, the period is three strides at 6 Hz."""
 LEAST_FALL = 0.2
 """New discrepancies replace those in the noise if one of them is smaller by this fraction."""
 
@@ -58,7 +62,7 @@ class Discrepancy(NamedTuple):
     lower_limit: float
     """Discretisation error of the model, extrapolated from two meshes."""
     measured: float | None
-    """Error of the data that repeats in each stride. None: no trial has enough readings."""
+    """Error of the data that repeats in each stride. None: the error is not measured."""
     used: float
     """Declared value, or else the measured value plus one standard error, within its limits."""
 
@@ -97,7 +101,7 @@ class DiscrepancyMeter:
             return key, _series_error(problem, key, r.t[there], model, swings)
 
         # Threads would compete with the threads of the linear algebra and take ten times as long.
-        self._series = dict(one(key) for key in problem.noise)
+        self._series = dict(one(key) for key in problem.noise if key[1] not in CONSTANT)
 
     def __call__(self, predicted: Sequence[np.ndarray]) -> dict[str, Discrepancy]:
         """Returns the discrepancy of each channel for the model's readings `predicted`."""

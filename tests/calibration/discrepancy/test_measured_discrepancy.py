@@ -51,6 +51,7 @@ def test_an_effect_below_the_constant_is_found_in_data_without_another_error():
     assert found.discrepancies["thrust"] < 0.005 < sizes["thrust"] < 0.02
     assert sum("measured model-discretisation discrepancy" in x for x in lines) in (1, 2)
     assert found.measured["thrust"].used <= found.discrepancies["thrust"]
+    assert found.discrepancies["p_front"] == CHANNELS["p_front"].discrepancy
 
 
 def test_without_a_second_mesh_the_constants_apply():
