@@ -370,9 +370,10 @@ def discrepancy_sentences(outcome: LoopOutcome) -> list[str]:
     x = outcome.search.measured.get("thrust")
     if x is None or x.measured is None or x.measured <= REPEATABLE_RATIO * x.lower_limit:
         return []
+    least = "at least " if x.measured >= CHANNELS["thrust"].discrepancy else ""
     return [
-        f"The data contain a repeatable error of {100.0 * x.measured:.2g} % of the thrust's rms "
-        f"that no effect explains. The model's own discretisation error is "
+        f"The data contain a repeatable error of {least}{100.0 * x.measured:.2g} % of the "
+        f"thrust's rms that no effect explains. The model's own discretisation error is "
         f"{100.0 * x.lower_limit:.2g} %."
     ]
 
