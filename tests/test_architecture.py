@@ -31,7 +31,7 @@ LAYERS = [
     {"calibration.bench", "calibration.reporting", "calibration.twin"},
     {"calibration.discrepancy", "calibration.lamprey"},
     {"calibration.experiment_design", "calibration.free_swimming", "calibration.pressure_logs"},
-    {"calibration.identification"},
+    {"calibration.identification", "calibration.learning"},
     {"rig.errors", "rig.files", "rig.scheduling", "rig.protocol"},
     {"rig.recording"},
     {"rig.camera", "rig.force", "rig.manifold"},

@@ -16,7 +16,7 @@ from slider_jax.actuation import FirstOrderLag
 from slider_jax.channels import CHANNELS, Channel
 from slider_jax.dynamics.model import Model
 from slider_jax.effects import Effect, NormalDrag, Prior, ReactiveForce
-from slider_jax.effects.library import LIBRARY
+from slider_jax.effects.library import KNOWN_EFFECTS, LIBRARY
 from slider_jax.experiment.load import Experiment, drag_and_added_mass
 
 BASE = {
@@ -49,7 +49,7 @@ def model_parameters(effects: Sequence[str]) -> list[Parameter]:
     """
     found = [Parameter("", name, prior) for name, prior in BASE.items()]
     for effect in effects:
-        kind = LIBRARY[effect]
+        kind = KNOWN_EFFECTS[effect]
         found += [Parameter(effect, name, prior) for name, prior in kind.priors().items()]
         found += [Parameter(effect, name, prior, True) for name, prior in kind.shapes().items()]
     return found
@@ -107,7 +107,7 @@ class ExtendedModel(eqx.Module):
         )
 
     def _effect(self, name: str, values) -> Effect:
-        kind = LIBRARY[name]
+        kind = KNOWN_EFFECTS[name]
         given = {p: values[name, p] for p in kind.priors() | kind.shapes()}
         known = {f.name for f in fields(kind)}
         return kind(**{n: x for n, x in self.conditions.items() if n in known} | given)

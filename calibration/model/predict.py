@@ -23,7 +23,7 @@ from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SCHEMES, SDIRK2, Scheme
 from slider_jax.effects import ActingPressure, Command, Flow, Readings
-from slider_jax.effects.library import LIBRARY
+from slider_jax.effects.library import KNOWN_EFFECTS
 from slider_jax.experiment.load import Experiment, trial_conditions
 from slider_jax.experiment.playback import LONGEST_STEP
 from slider_jax.experiment.prepare import (
@@ -400,7 +400,7 @@ def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) ->
 def _moves_pressures(extended: ExtendedModel, directions: np.ndarray) -> np.ndarray:
     """Returns for each of the `directions` (k, entries) whether it changes a pressure."""
     moving = [
-        issubclass(LIBRARY[x.effect], (Command, Flow, ActingPressure))
+        issubclass(KNOWN_EFFECTS[x.effect], (Command, Flow, ActingPressure))
         if x.effect
         else x.name == "k"
         for x in model_parameters(extended.effects)

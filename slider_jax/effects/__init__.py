@@ -8,6 +8,7 @@ from slider_jax.effects.base import (
     BodyChange as BodyChange,
     Chamber as Chamber,
     Command as Command,
+    Curve as Curve,
     Effect as Effect,
     Flow as Flow,
     ForceDensity as ForceDensity,

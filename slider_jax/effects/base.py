@@ -73,6 +73,19 @@ def shape_parameter(
     return eqx.field(default=value, metadata={"shape": prior})
 
 
+class Curve(NamedTuple):
+    """Texts on the function that a term of the dictionary adds to the model, for reports."""
+
+    state: str
+    """Name of the local state on which the function depends."""
+    unit: str
+    """Unit of the state."""
+    value: str
+    """Name of the function's value."""
+    value_unit: str
+    """Unit of the value."""
+
+
 class Effect(eqx.Module):
     """A physical cause. Each subclass states its equation and its source in its docstring."""
 
@@ -97,6 +110,8 @@ class Effect(eqx.Module):
     resists_axially: ClassVar[bool] = False
     """Whether the effect is a force density that resists axial motion. Normal drag and added mass
     do not resist axial motion."""
+    curve: ClassVar[Curve | None] = None
+    """Texts on the function of a term of the dictionary. It is None for physical effects."""
     replaces_law: ClassVar[str] = ""
     """Part of the model that the effect replaces, or "". Two effects must not replace one part."""
 

@@ -1,8 +1,13 @@
-"""The library of effects: a dictionary from names to classes. This module imports all effects."""
+"""The library of effects: a dictionary from names to classes. This module imports all effects.
+
+A model file may also contain terms of `DICTIONARY`. These terms describe a residual that no effect
+of the library explains. They are no physical causes, so they are not in the library.
+"""
 
 import hashlib
 import importlib
 import sys
+from collections import ChainMap
 from collections.abc import Iterable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -29,7 +34,14 @@ def _built_in() -> dict[str, type[Effect]]:
 
 
 _BUILT_IN = _built_in()
-LIBRARY: dict[str, type[Effect]] = {k: x for k, x in _BUILT_IN.items() if not x.in_every_model}
+DICTIONARY: dict[str, type[Effect]] = {k: x for k, x in _BUILT_IN.items() if x.curve is not None}
+"""The terms from which `slider close-loop` learns, by name."""
+LIBRARY: dict[str, type[Effect]] = {
+    k: x for k, x in _BUILT_IN.items() if not x.in_every_model and k not in DICTIONARY
+}
+"""The physical effects by name, also those of the user's files."""
+KNOWN_EFFECTS = ChainMap(LIBRARY, DICTIONARY)
+"""All effects that a model file may contain, by name."""
 _HOMES = dict.fromkeys(_BUILT_IN, "slider_jax")
 """The file or package that defines each effect, for messages."""
 

@@ -28,7 +28,7 @@ from slider_jax.channels import CHANNELS, TIME
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.time_schemes import SCHEMES, Scheme
 from slider_jax.effects import Effect, NormalDrag, ReactiveForce
-from slider_jax.effects.library import LIBRARY
+from slider_jax.effects.library import KNOWN_EFFECTS, LIBRARY
 from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.schema import EffectTable, ExperimentTable, ParametersTable, Trial
 from slider_jax.io.csv import read_csv
@@ -131,14 +131,14 @@ def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
 
 def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = None) -> Effect:
     """Returns the effect of `table`. Fields that the table omits take their values from `taken`."""
-    if table.name not in LIBRARY:
+    if table.name not in KNOWN_EFFECTS:
         raise InputError(
             f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; every model "
             "contains drag and added mass (parameters.C_d and parameters.m_a); the option "
             "--effects FILE.py adds effects of your own file"
             f"{did_you_mean(table.name, LIBRARY)}"
         )
-    kind, given = LIBRARY[table.name], dict(table.model_extra or {})
+    kind, given = KNOWN_EFFECTS[table.name], dict(table.model_extra or {})
     known = [field.name for field in fields(kind)]
     for key, value in given.items():
         if key not in known:

@@ -1,0 +1,2 @@
+"""Learns a function from a dictionary of terms if no effect of the library explains the residual.
+This package may import `experiment_design`, `discrepancy` and packages of lower layers."""

@@ -1,0 +1,265 @@
+"""Learns the function that is missing in a model if no effect of the library explains the residual.
+
+One half of the trials selects groups of terms from the dictionary (`pursuit`), the other half
+estimates their coefficients. The held-out trials test the result.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from calibration.discrepancy.close_loop import LoopOutcome, held_out_growth
+from calibration.discrepancy.refits import effect_tangents
+from calibration.discrepancy.report import residual_records
+from calibration.discrepancy.rounds import relative_changes, scoring_entries
+from calibration.discrepancy.verdict import PARTLY, UNEXPLAINED, channels_above_floor
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton
+from calibration.inference.goodness import Excess, channel_errors, tested_excess
+from calibration.inference.problem import ChannelBlock, Swing, TankProblem
+from calibration.inference.uncertainty import widen_by_correlation
+from calibration.learning.pursuit import (
+    MIN_HALF,
+    PlaceGain,
+    Stability,
+    halves,
+    place_gains,
+    stability,
+)
+from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
+from calibration.model.predict import TrialPlan
+from slider_jax.channels import CHANNELS
+from slider_jax.effects.library import DICTIONARY
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Dictionary:
+    """The problem of an outcome with the terms of the dictionary added to the found effects."""
+
+    outcome: LoopOutcome
+    problem: TankProblem
+    """All trials."""
+    entries: list[Parameter]
+    theta: np.ndarray
+    """The model without terms, fitted to the trials that were not held out."""
+    free: np.ndarray
+    """Indices of the base parameters and of the found effects' parameters that are fitted."""
+
+    @classmethod
+    def of(cls, outcome: LoopOutcome) -> "Dictionary":
+        """Returns the problem with all terms at their nulls."""
+        assert isinstance(outcome.problem, TankProblem)
+        names = (*outcome.effects, *DICTIONARY)
+        entries = model_parameters(names)
+        known = {(p.effect, p.name): i for i, p in enumerate(outcome.entries)}
+        theta = base_vector(entries, base_values(outcome.experiment))
+        swing, free = theta.copy(), []
+        for i, p in enumerate(entries):
+            own = known.get((p.effect, p.name))
+            if own is not None:
+                entries[i], theta[i] = outcome.entries[own], outcome.chosen.theta[own]
+                free += [i] if own in outcome.chosen.free else []
+        _set_frequencies(outcome, entries, theta)
+        problem = outcome.problem
+
+        def plans(given: Sequence[TrialPlan]) -> list[TrialPlan]:
+            return [replace(p, extended=replace(p.extended, effects=names)) for p in given]
+
+        found = replace(
+            problem,
+            fine=plans(problem.fine),
+            coarse_plans=plans(problem.coarse_plans),
+            swing=None if problem.swing is None else Swing(problem.swing.size, swing),
+        )
+        return cls(outcome, found, entries, theta, np.array(free))
+
+    @cached_property
+    def places(self) -> dict[str, dict[str, np.ndarray]]:
+        """The indices of the terms' strengths, by place and term. Each sensor is a place."""
+        scored = scoring_entries(self.entries)
+        found: dict[str, dict[str, np.ndarray]] = {}
+        for name, kind in DICTIONARY.items():
+            sensor = f" ({kind.sensors[0]})" if kind.place() == "Instrument" else ""
+            found.setdefault(kind.place() + sensor, {})[name] = scored[name]
+        return found
+
+    def trials(self, chosen: Sequence[int]) -> TankProblem:
+        """Returns the problem of the trials with the indices `chosen`."""
+        problem = self.problem
+        return replace(
+            problem,
+            records=[problem.records[i] for i in chosen],
+            noise={
+                (k, channel): problem.noise[i, channel]
+                for k, i in enumerate(chosen)
+                for channel in problem.channels
+                if (i, channel) in problem.noise
+            },
+            fine=[problem.fine[i] for i in chosen],
+            coarse_plans=[problem.coarse_plans[i] for i in chosen],
+        )
+
+    def blocks(self, used: Sequence[int]) -> list[ChannelBlock]:
+        """Returns the normal equations of the trials `used`, linearised at the model without terms.
+
+        The fit of the outcome already contains the readings of these trials.
+        """
+        problem, predicted = self.trials(used), self.outcome.chosen.predicted
+        white = problem.whiteners(predicted)
+        tangents = effect_tangents(problem, self.entries, self.theta, self.free)
+        return problem.blocks(problem.residuals(predicted, white), tangents, white)
+
+
+def _set_frequencies(outcome: LoopOutcome, entries: Sequence[Parameter], theta: np.ndarray) -> None:
+    """Sets the frequency of each sine term to the frequency found in the residual of its sensor."""
+    found: dict[str, float] = {}
+    for x in residual_records(outcome):
+        channel = x["channel"]
+        sensor = "pressure" if CHANNELS[channel].kind == "pressure" else channel
+        found.setdefault(sensor, x["in_worst_trial"]["peak_Hz"])
+    for i, p in enumerate(entries):
+        if p.is_shape and p.effect in DICTIONARY:
+            sensor = DICTIONARY[p.effect].sensors[0]
+            theta[i] = np.clip(found.get(sensor, p.prior.null), p.prior.low, p.prior.high)
+
+
+@dataclass(frozen=True)
+class LearnedModel:
+    """A model with a learned function, estimated on the trials that did not select the terms."""
+
+    terms: list[str]
+    fit: Fit
+    problem: TankProblem
+    """The trials of the estimation."""
+    stability: dict[str, Stability]
+    errors: dict[str, dict[str, float]]
+    """`channel_errors` without and with the function, on the trials `tested`."""
+    tested: list[int]
+    """The held-out trials, or the trials of the estimation if no trial was held out."""
+    excess: list[dict[str, Excess]]
+    """Mean squares of the whitened residual, in the trials of the estimation and the held-out."""
+    sizes: dict[str, float]
+    """rms change of each channel in the trials of the estimation, over the channel's rms."""
+
+    def above_floor(self, outcome: LoopOutcome) -> list[str]:
+        """Returns the channels whose residual is still above the noise floor."""
+        settings = outcome.search.settings
+        return sorted({c for x in self.excess for c in channels_above_floor(x, settings)})
+
+
+@dataclass
+class Learning:
+    """Result of the search for a learned function."""
+
+    dictionary: Dictionary
+    selection: list[int] = field(default_factory=list)
+    """Trials (indices of all records) that select the terms."""
+    estimation: list[int] = field(default_factory=list)
+    """Trials that estimate the coefficients."""
+    places: list[PlaceGain] = field(default_factory=list)
+    """Result at each place, best first."""
+    dropped: dict[str, Stability] = field(default_factory=dict)
+    """Selected terms that the trials of the estimation do not confirm."""
+    model: LearnedModel | None = None
+    reason: str = ""
+    """Why nothing was learned; empty if a function was learned."""
+
+    @property
+    def equal_places(self) -> list[str]:
+        """Other places whose terms explain nearly as much as those of the best place."""
+        share = self.dictionary.outcome.search.settings.equal_gain_share
+        best, *rest = self.places
+        return [x.place for x in rest if x.gain > share * best.gain]
+
+
+def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) -> Learning | None:
+    """Returns the result of learning, or None if the verdict leaves nothing to learn."""
+    if outcome.verdict not in (PARTLY, UNEXPLAINED):
+        return None
+    found = Learning(Dictionary.of(outcome))
+    used = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
+    parts = halves([outcome.problem.records[i].trial.frequency for i in used])
+    if len(parts[1]) < MIN_HALF:
+        found.reason = (
+            f"only {len(used)} trials were not held out; each half needs {MIN_HALF} trials, so an "
+            f"experiment needs at least eight usable trials"
+        )
+        return found
+    found.selection, found.estimation = ([used[k] for k in part] for part in parts)
+    progress(f"scoring {len(DICTIONARY)} terms of the dictionary")
+    blocks = [x for x in found.dictionary.blocks(used) if x.trial in parts[0]]
+    settings = outcome.search.settings
+    found.places = place_gains(blocks, found.dictionary.free, found.dictionary.places, settings)
+    best = found.places[0]
+    if not best.groups:
+        found.reason = "no term of the dictionary has a significant gain"
+        return found
+    _estimate(found, best.groups, progress)
+    return found
+
+
+def _estimate(found: Learning, terms: list[str], progress: Progress) -> None:
+    """Fits the selected `terms` to the trials of the estimation, and sets `model` or `reason`."""
+    known = found.dictionary
+    problem, groups = known.trials(found.estimation), scoring_entries(known.entries)
+    while terms:
+        progress(f"estimating {', '.join(terms)}")
+        free = np.concatenate([known.free, *(groups[name] for name in terms)])
+        fit = fit_gauss_newton(problem, known.entries, known.theta, free, progress)
+        if not fit.converged:
+            found.reason = f"the fit with {', '.join(terms)} did not converge"
+            return
+        confirmed = {
+            name: stability(
+                fit.blocks,
+                fit.theta[free],
+                np.flatnonzero(np.isin(free, groups[name])),
+                len(terms),
+                fit.inflation,
+            )
+            for name in terms
+        }
+        weak = [name for name, x in confirmed.items() if not x.confirmed]
+        if not weak:
+            _conclude(found, problem, terms, fit, confirmed, progress)
+            return
+        worst = max(weak, key=lambda name: (confirmed[name].p, confirmed[name].change))
+        progress(f"dropping {worst}: the other half of the trials does not confirm it")
+        found.dropped[worst] = confirmed[worst]
+        terms = [name for name in terms if name != worst]
+    found.reason = "the other half of the trials does not confirm the selected terms"
+
+
+def _conclude(
+    found: Learning,
+    problem: TankProblem,
+    terms: list[str],
+    fit: Fit,
+    confirmed: dict[str, Stability],
+    progress: Progress,
+) -> None:
+    """Tests the fit on the held-out trials, and sets `model` or `reason`."""
+    known, outcome = found.dictionary, found.dictionary.outcome
+    before = outcome.chosen._replace(theta=known.theta)
+    used = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
+    own = [outcome.chosen.predicted[used.index(i)] for i in found.estimation]
+    sizes = relative_changes(problem.channels, own, fit.predicted)
+    if not any(x > CHANNELS[c].discrepancy for c, x in sizes.items()):
+        found.reason = "the terms change every channel by less than the discretisation discrepancy"
+        return
+    excess, tested = [tested_excess(problem, fit)], outcome.held or found.estimation
+    errors = channel_errors(problem, own, fit.predicted)
+    if outcome.held:
+        progress("predicting the held-out trials with the learned function")
+        rest = known.trials(outcome.held)
+        if held_out_growth(rest, before, fit).vetoes(outcome.search.settings):
+            found.reason = "the selected terms increase the error in the held-out trials"
+            return
+        predicted = [rest.predict(x.theta) for x in (before, fit)]
+        errors = channel_errors(rest, *predicted)
+        excess.append(tested_excess(rest, fit._replace(predicted=predicted[1])))
+    fit = widen_by_correlation(problem, fit)
+    found.model = LearnedModel(terms, fit, problem, confirmed, errors, tested, excess, sizes)
