@@ -43,6 +43,7 @@ def close_loop(
     from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import error_lines, loop_model_toml, parameter_lines
     from calibration.inference.cache import input_settings, resumable
+    from calibration.learning.report import learned_model_toml, learned_parts
     from slider_jax.experiment.load import Experiment, load
     from slider_jax.io.files import staged, write_json, write_text
 
@@ -59,12 +60,16 @@ def close_loop(
     choice = {"only": sorted(only), "without": sorted(without)}
     with resumable(out, input_settings(files, folder) | choice) as memo:
         _announce_replacement(out)
-        outcome, record = close(given, names, inputs, memo, progress, seconds)
+        outcome, record, learning = close(given, names, inputs, memo, progress, seconds)
         record["candidate_choice"] = choice
         with staged(out) as stage:
             write_json(stage / "report.json", record)
-            write_text(stage / "model.toml", loop_model_toml(outcome))
-            write_text(stage / "report.html", loop_page(outcome, record))
+            model_toml, shown = loop_model_toml(outcome), None
+            if learning is not None and learning.model is not None:
+                model_toml = learned_model_toml(outcome, learning)
+                shown = learned_parts(record["learned"])
+            write_text(stage / "model.toml", model_toml)
+            write_text(stage / "report.html", loop_page(outcome, record, shown))
     print("\n".join([record["said"], *parameter_lines(record), *error_lines(record)]))
     if record["next_experiment"]:
         print(f"Next: {record['next_experiment']['said']}")
@@ -120,20 +125,25 @@ def _logs(paths: tuple[Path, ...]):
 
 def _close_on_experiment(
     experiment, names, inputs, memo, progress, seconds
-) -> tuple[Any, dict[str, Any]]:
+) -> tuple[Any, dict[str, Any], Any]:
     from calibration.discrepancy.close_loop import close_loop_on_trials
     from calibration.discrepancy.report import loop_record
     from calibration.experiment_design.next_experiment import next_experiment
+    from calibration.learning.learn import learn_terms
+    from calibration.learning.report import learned_record, with_learned
     from slider_jax.io.files import input_file
 
     outcome = close_loop_on_trials(experiment, names, progress, memo=memo)
+    learning = learn_terms(outcome, progress)
     following = next_experiment(outcome, progress)
-    return outcome, loop_record(outcome, seconds(), input_file(inputs[0]), following)
+    learned = None if learning is None else learned_record(learning, progress)
+    record = loop_record(outcome, seconds(), input_file(inputs[0]), following)
+    return outcome, with_learned(record, learned), learning
 
 
-def _close_on_logs(logs, names, inputs, memo, progress, seconds) -> tuple[Any, dict[str, Any]]:
+def _close_on_logs(logs, names, inputs, memo, progress, seconds) -> tuple[Any, dict[str, Any], Any]:
     from calibration.pressure_logs.close_loop import close_loop_on_logs, log_report
 
     outcome = close_loop_on_logs(logs, names, progress, memo)
     progress("simulating the thrust with and without the effects")
-    return outcome, log_report(outcome, logs, seconds)
+    return outcome, log_report(outcome, logs, seconds), None

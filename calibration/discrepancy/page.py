@@ -32,8 +32,13 @@ STATUS_TEXTS = {
 """Meaning of the statuses of added effects."""
 
 
-def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
-    """Returns the report page (HTML) of a loop. `record` is the content of report.json."""
+def loop_page(
+    outcome: LoopOutcome, record: dict[str, Any], learned: dict[str, Any] | None = None
+) -> str:
+    """Returns the report page (HTML) of a loop. `record` is the content of report.json.
+
+    `learned` contains the picture and the table of errors of a learned function.
+    """
     known, settings = dict(record["parameters"]), outcome.search.settings
     for effect in record["effects"]:
         known |= {f"{effect['name']}.{n}": x for n, x in effect["parameters"].items()}
@@ -44,6 +49,8 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
         "loop.html",
         title=outcome.experiment.name,
         record=record,
+        learned=learned,
+        learned_places=_places(record["learned"]),
         sources=_sources(record["input"]),
         statuses=[
             [
@@ -92,6 +99,12 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
         ],
         residuals=[residual_text(x) for x in record["unexplained"]],
     )
+
+
+def _places(learned: dict[str, Any] | None) -> list[list[str]]:
+    """Returns a row for each place at which the dictionary was tested."""
+    places = learned["places"] if learned else []
+    return [[x["place"], ", ".join(x["terms"]), f"{x['gain']:.4g}"] for x in places]
 
 
 def _sources(given: dict[str, Any]) -> str:

@@ -61,6 +61,7 @@ def loop_record(
         "unexplained": residual_records(outcome),
         "audit": [x._asdict() for x in outcome.audit],
         "next_experiment": following,
+        "learned": None,
         "units": {name: CHANNELS[name].unit for name in CHANNELS},
         "left_over_noise": {c: np.sqrt(x.all) for c, x in outcome.excess.items()},
         "seconds": seconds,

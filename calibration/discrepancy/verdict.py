@@ -14,6 +14,8 @@ NOTHING, IDENTIFIED, CLASS = "nothing_missing", "identified", "class"
 PARTLY, UNEXPLAINED, INCONCLUSIVE = "partly_explained", "unexplained", "inconclusive"
 BEYOND_PRIOR, PROVISIONAL = "beyond_prior", "provisional"
 """Statuses of an added effect, beside `IDENTIFIED` and `CLASS`."""
+LEARNED = "learned"
+"""Status of a term of the dictionary, and the verdict if the learned function leaves only noise."""
 
 
 class EffectStatus(NamedTuple):

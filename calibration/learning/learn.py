@@ -11,13 +11,13 @@ from functools import cached_property
 import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome, held_out_growth
-from calibration.discrepancy.refits import effect_tangents
+from calibration.discrepancy.refits import Refits, effect_tangents
 from calibration.discrepancy.report import residual_records
 from calibration.discrepancy.rounds import relative_changes, scoring_entries
 from calibration.discrepancy.verdict import PARTLY, UNEXPLAINED, channels_above_floor
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, channel_errors, tested_excess
-from calibration.inference.problem import ChannelBlock, Swing, TankProblem
+from calibration.inference.problem import Swing, TankProblem, total
 from calibration.inference.uncertainty import widen_by_correlation
 from calibration.learning.pursuit import (
     MIN_HALF,
@@ -102,15 +102,23 @@ class Dictionary:
             coarse_plans=[problem.coarse_plans[i] for i in chosen],
         )
 
-    def blocks(self, used: Sequence[int]) -> list[ChannelBlock]:
-        """Returns the normal equations of the trials `used`, linearised at the model without terms.
+    def search(
+        self, used: Sequence[int], chosen: Sequence[int], progress: Progress
+    ) -> list[PlaceGain]:
+        """Returns the result at each place from the trials `chosen`, a part of the trials `used`.
 
-        The fit of the outcome already contains the readings of these trials.
+        The outcome's fit to the trials `used` already contains their readings.
         """
-        problem, predicted = self.trials(used), self.outcome.chosen.predicted
+        problem, fit = self.trials(chosen), self.outcome.chosen
+        predicted = [fit.predicted[list(used).index(i)] for i in chosen]
         white = problem.whiteners(predicted)
-        tangents = effect_tangents(problem, self.entries, self.theta, self.free)
-        return problem.blocks(problem.residuals(predicted, white), tangents, white)
+        residuals = problem.residuals(predicted, white)
+        samples = sum(len(r) for r in residuals.values())
+        start = Fit(self.theta, self.free, total(residuals), samples, [], predicted, True)
+        settings = self.outcome.search.settings
+        refits = Refits(problem, self.entries, white, progress, settings)
+        tangents = effect_tangents(problem, self.entries, self.theta, self.free, settings)
+        return place_gains(refits, start, self.places, problem.whitened(tangents, white))
 
 
 def _set_frequencies(outcome: LoopOutcome, entries: Sequence[Parameter], theta: np.ndarray) -> None:
@@ -190,25 +198,24 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
         return found
     found.selection, found.estimation = ([used[k] for k in part] for part in parts)
     progress(f"scoring {len(DICTIONARY)} terms of the dictionary")
-    blocks = [x for x in found.dictionary.blocks(used) if x.trial in parts[0]]
-    settings = outcome.search.settings
-    found.places = place_gains(blocks, found.dictionary.free, found.dictionary.places, settings)
+    found.places = found.dictionary.search(used, found.selection, progress)
     best = found.places[0]
     if not best.groups:
         found.reason = "no term of the dictionary has a significant gain"
         return found
-    _estimate(found, best.groups, progress)
+    _estimate(found, best, progress)
     return found
 
 
-def _estimate(found: Learning, terms: list[str], progress: Progress) -> None:
-    """Fits the selected `terms` to the trials of the estimation, and sets `model` or `reason`."""
+def _estimate(found: Learning, best: PlaceGain, progress: Progress) -> None:
+    """Fits the terms of the `best` place to the other half, and sets `model` or `reason`."""
     known = found.dictionary
     problem, groups = known.trials(found.estimation), scoring_entries(known.entries)
+    terms, theta = best.groups, best.fit.theta
     while terms:
         progress(f"estimating {', '.join(terms)}")
         free = np.concatenate([known.free, *(groups[name] for name in terms)])
-        fit = fit_gauss_newton(problem, known.entries, known.theta, free, progress)
+        fit = fit_gauss_newton(problem, known.entries, theta, free, progress)
         if not fit.converged:
             found.reason = f"the fit with {', '.join(terms)} did not converge"
             return
@@ -229,7 +236,8 @@ def _estimate(found: Learning, terms: list[str], progress: Progress) -> None:
         worst = max(weak, key=lambda name: (confirmed[name].p, confirmed[name].change))
         progress(f"dropping {worst}: the other half of the trials does not confirm it")
         found.dropped[worst] = confirmed[worst]
-        terms = [name for name in terms if name != worst]
+        terms, theta = [name for name in terms if name != worst], fit.theta.copy()
+        theta[groups[worst]] = 0.0
     found.reason = "the other half of the trials does not confirm the selected terms"
 
 

@@ -14,17 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
+from calibration.discrepancy.refits import FitStart, Refits, Tangents, initial_theta
 from calibration.discrepancy.rounds import agreement
-from calibration.discrepancy.scores import (
-    Score,
-    least_squares_step,
-    score,
-    square_after,
-    square_reduction,
-)
-from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
-from calibration.inference.gauss_newton import inverse, marginal_information
-from calibration.inference.problem import ChannelBlock, summed
+from calibration.discrepancy.scores import Score, score
+from calibration.discrepancy.settings import SelectionSettings
+from calibration.inference.gauss_newton import Fit, inverse, marginal_information
+from calibration.inference.problem import ChannelBlock, normal_equations, summed
 
 MAX_GROUPS = 3
 """Largest number of groups of a learned function."""
@@ -33,6 +28,10 @@ MIN_HALF = 3
 CONFIRMATION_P = 0.01
 """The estimation half confirms a group if the p-value of its gain, corrected for the number of
 selected groups, is below this value."""
+SHORT_LIST = 4
+"""Largest number of groups that a step of the pursuit refits."""
+MAX_PLACES = 3
+"""Largest number of places at which the pursuit refits groups."""
 UNSTABLE_CHANGE = 0.5
 """A group is unstable if the function of the group changes by more than this fraction when one
 trial is left out. A parameter with the other sign changes by more than 1."""
@@ -51,6 +50,8 @@ class PlaceGain(NamedTuple):
     """Reduction of the sum of squares, divided by the mean square of the residual afterwards."""
     surplus: float
     """Sum of the groups' gains beyond the gains that chance allows."""
+    fit: Fit
+    """The fit with the selected terms."""
 
 
 class Stability(NamedTuple):
@@ -73,65 +74,80 @@ def halves(frequencies: Sequence[float | None]) -> tuple[list[int], list[int]]:
     return sorted(order[::2]), sorted(order[1::2])
 
 
-def mean_square(blocks: Sequence[ChannelBlock], free: np.ndarray) -> float:
-    """Returns the mean square of the residual after a fit of the entries `free`, at least 1."""
-    after = square_after(blocks, least_squares_step(*summed(blocks), free))
-    return max(1.0, after / max(sum(x.n for x in blocks) - len(free), 1))
+def _threshold(count: int, many: int, settings: SelectionSettings) -> float:
+    """Returns the gain that a group with `count` parameters must exceed, for `many` groups."""
+    chance = float(chi2.isf(settings.false_alarm_p / many, count))
+    return max(chance, settings.least_gain(count))
 
 
-def _surplus(found: Score, group: np.ndarray, many: int, settings: SelectionSettings) -> float:
-    """Returns the gain minus the larger of the naming threshold and the gain that chance allows."""
-    chance = float(chi2.isf(settings.false_alarm_p / many, len(group)))
-    return found.gain - max(chance, settings.least_gain(len(group)))
+def _surplus(refits: Refits, current: Fit, fit: Fit, many: int) -> float:
+    gain = (current.square - fit.square) / fit.inflation
+    return gain - _threshold(len(fit.free) - len(current.free), many, refits.settings)
 
 
-def pursue(
-    blocks: Sequence[ChannelBlock],
-    free: np.ndarray,
-    groups: Groups,
-    many: int,
-    settings: SelectionSettings = DEFAULT_SETTINGS,
-) -> tuple[list[str], float]:
-    """Returns the selected groups, best first, and the sum of their surpluses.
+def _short_list(
+    refits: Refits, current: Fit, groups: Groups, blocks: Sequence[ChannelBlock], many: int
+) -> list[tuple[float, Score]]:
+    """Returns the significant groups that cross-validation confirms, with surplus, best first."""
+    found, settings = [], refits.settings
+    for name, group in groups.items():
+        x = score(name, group, current.free, blocks, current.inflation, many, settings)
+        surplus = x.gain - _threshold(len(group), many, settings)
+        if surplus > 0.0 and agreement(x.left_out).agreed(settings):
+            found.append((surplus, x))
+    return sorted(found, key=lambda pair: -pair[0])
 
-    `free` are the indices of the parameters to project out, and `many` the number of groups for
-    which the chance level is corrected.
-    """
-    chosen: list[str] = []
-    total, known = 0.0, free
+
+def _pursue(
+    refits: Refits, start: Fit, place: str, groups: Groups, J: Tangents, many: int
+) -> PlaceGain:
+    """Returns the result of the pursuit at one place."""
+    current, chosen, total = start, list[str](), 0.0
     while len(chosen) < MAX_GROUPS:
-        unit, found = mean_square(blocks, known), {}
-        for name in groups.keys() - set(chosen):
-            x = score(name, groups[name], known, blocks, unit, many, settings)
-            surplus = _surplus(x, groups[name], many, settings)
-            if surplus > 0.0 and agreement(x.left_out).agreed(settings):
-                found[name] = surplus
-        if not found:
+        residuals = refits.problem.residuals(current.predicted, refits.white)
+        rest = {name: x for name, x in groups.items() if name not in chosen}
+        scores = _short_list(refits, current, rest, normal_equations(residuals, J), many)
+        starts = [
+            FitStart(
+                initial_theta(refits, current.theta, groups[x.name], x.step),
+                np.concatenate([current.free, groups[x.name]]),
+                current.theta,
+            )
+            for _, x in scores[:SHORT_LIST]
+        ]
+        fits = refits.estimated(current, starts, J, judge=True)
+        named = zip(fits, (x.name for _, x in scores), strict=False)
+        gains = [(_surplus(refits, current, fit, many), name, fit) for fit, name in named]
+        surplus, name, fit = max(gains, key=lambda x: x[0], default=(0.0, "", current))
+        if surplus <= 0.0:
             break
-        best = max(sorted(found), key=lambda name: found[name])
-        chosen.append(best)
-        total, known = total + found[best], np.concatenate([known, groups[best]])
-    return chosen, total
+        refits.progress(f"{place}: adding {name}")
+        chosen.append(name)
+        total, current = total + surplus, fit
+    gain = (start.square - current.square) / current.inflation
+    return PlaceGain(place, chosen, gain, total, current)
 
 
 def place_gains(
-    blocks: Sequence[ChannelBlock],
-    free: np.ndarray,
-    places: Mapping[str, Groups],
-    settings: SelectionSettings = DEFAULT_SETTINGS,
+    refits: Refits, start: Fit, places: Mapping[str, Groups], J: Tangents
 ) -> list[PlaceGain]:
-    """Returns the result of the pursuit at each of the `places`, largest surplus first."""
-    many, found = sum(len(groups) for groups in places.values()), []
-    for place, groups in places.items():
-        chosen, surplus = pursue(blocks, free, groups, many, settings)
-        both = np.concatenate([free, *(groups[name] for name in chosen)])
-        gain = _reduction(blocks, both) - _reduction(blocks, free)
-        found.append(PlaceGain(place, chosen, gain / mean_square(blocks, both), surplus))
+    """Returns the result of the pursuit at each of the `places`, largest surplus first.
+
+    `start` is the fit without terms, and `J` are the whitened tangents there. The pursuit runs at
+    the `MAX_PLACES` places with the best scores. It refits the groups with the best scores.
+    """
+    many = sum(len(groups) for groups in places.values())
+    residuals = refits.problem.residuals(start.predicted, refits.white)
+    blocks = normal_equations(residuals, J)
+    first = {
+        place: max((x for x, _ in _short_list(refits, start, groups, blocks, many)), default=0.0)
+        for place, groups in places.items()
+    }
+    best = sorted(first, key=lambda place: -first[place])
+    tried = [place for place in best[:MAX_PLACES] if first[place] > 0.0]
+    found = [_pursue(refits, start, place, places[place], J, many) for place in tried]
+    found += [PlaceGain(place, [], 0.0, 0.0, start) for place in best if place not in tried]
     return sorted(found, key=lambda x: -x.surplus)
-
-
-def _reduction(blocks: Sequence[ChannelBlock], free: np.ndarray) -> float:
-    return square_reduction(blocks, least_squares_step(*summed(blocks), free))
 
 
 def stability(
@@ -141,8 +157,8 @@ def stability(
 
     `blocks` are the normal equations of the fitted parameters at the optimum, `values` the fitted
     values minus the nulls, and `group` the places of the group in them. `unit` is the residual's
-    mean square. The group's function is measured by the change of the readings that the other
-    parameters cannot absorb.
+    mean square. The change of the group's function without one trial is measured in the readings of
+    the remaining trials, by the part that the other parameters cannot absorb.
     """
     A, _ = summed(blocks)
     rest = np.setdiff1d(np.arange(len(A)), group)
@@ -152,6 +168,7 @@ def stability(
     changes = []
     for trial in {x.trial for x in blocks}:
         own_A, own_b = summed([x for x in blocks if x.trial != trial])
+        own = marginal_information(own_A, group, rest)
         step = (inverse(own_A) @ own_b)[group]
-        changes.append(float(step @ metric @ step))
-    return Stability(p, float(np.sqrt(max(changes) / max(size, 1e-300))))
+        changes.append(float(step @ own @ step) / max(float(a @ own @ a), 1e-300))
+    return Stability(p, float(np.sqrt(max(changes))))

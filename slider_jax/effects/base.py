@@ -110,7 +110,7 @@ class Effect(eqx.Module):
     resists_axially: ClassVar[bool] = False
     """Whether the effect is a force density that resists axial motion. Normal drag and added mass
     do not resist axial motion."""
-    curve: ClassVar[Curve | None] = None
+    term_curve: ClassVar[Curve | None] = None
     """Texts on the function of a term of the dictionary. It is None for physical effects."""
     replaces_law: ClassVar[str] = ""
     """Part of the model that the effect replaces, or "". Two effects must not replace one part."""

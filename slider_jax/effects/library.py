@@ -34,7 +34,9 @@ def _built_in() -> dict[str, type[Effect]]:
 
 
 _BUILT_IN = _built_in()
-DICTIONARY: dict[str, type[Effect]] = {k: x for k, x in _BUILT_IN.items() if x.curve is not None}
+DICTIONARY: dict[str, type[Effect]] = {
+    k: x for k, x in _BUILT_IN.items() if x.term_curve is not None
+}
 """The terms from which `slider close-loop` learns, by name."""
 LIBRARY: dict[str, type[Effect]] = {
     k: x for k, x in _BUILT_IN.items() if not x.in_every_model and k not in DICTIONARY

@@ -53,7 +53,7 @@ class MomentLinear(MomentTerm):
     """M = EI a k, with the curvature k in units of `CURVATURE`."""
 
     title = "moment linear in the curvature"
-    curve = OF_KAPPA
+    term_curve = OF_KAPPA
 
     def state(self, x):
         return x.kappa
@@ -66,7 +66,7 @@ class MomentQuadratic(MomentTerm):
     """M = EI a k |k|, with the curvature k in units of `CURVATURE`."""
 
     title = "moment quadratic in the curvature"
-    curve = OF_KAPPA
+    term_curve = OF_KAPPA
 
     def state(self, x):
         return x.kappa
@@ -79,7 +79,7 @@ class MomentCubic(MomentTerm):
     """M = EI a k^3, with the curvature k in units of `CURVATURE`."""
 
     title = "moment cubic in the curvature"
-    curve = OF_KAPPA
+    term_curve = OF_KAPPA
 
     def state(self, x):
         return x.kappa
@@ -92,7 +92,7 @@ class MomentOneSided(MomentTerm):
     """M = EI a max(k, 0), with the curvature k in units of `CURVATURE`."""
 
     title = "moment on one side"
-    curve = OF_KAPPA
+    term_curve = OF_KAPPA
 
     def state(self, x):
         return x.kappa
@@ -105,7 +105,7 @@ class MomentOfRate(MomentTerm):
     """M = EI a r, with the rate of curvature r in units of `RATE`."""
 
     title = "moment linear in the rate of curvature"
-    curve = OF_RATE
+    term_curve = OF_RATE
 
     def state(self, x):
         return x.kappa_t
@@ -118,7 +118,7 @@ class MomentOfRateQuadratic(MomentTerm):
     """M = EI a r |r|, with the rate of curvature r in units of `RATE`."""
 
     title = "moment quadratic in the rate of curvature"
-    curve = OF_RATE
+    term_curve = OF_RATE
 
     def state(self, x):
         return x.kappa_t
@@ -131,7 +131,7 @@ class MomentOfRateSaturated(MomentTerm):
     """M = EI a r/(r^2 + w^2)^(1/2) with w = 0.1 and the rate r in units of `RATE`: dry friction."""
 
     title = "moment of dry friction"
-    curve = OF_RATE
+    term_curve = OF_RATE
 
     def state(self, x):
         return x.kappa_t
@@ -145,7 +145,7 @@ class MomentOfPressure(BendingMoment):
 
     title = "bending moment nonlinear in the pressure"
     segments = ("body",)
-    curve = Curve("pressure of the chamber", "Pa", "moment M", "N m")
+    term_curve = Curve("pressure of the chamber", "Pa", "moment M", "N m")
 
     a: Scalar = parameter(0.0, -0.05, 0.05, "N m", WHY_PRESSURE)
     """a, part that differs between the sides."""

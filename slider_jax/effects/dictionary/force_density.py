@@ -59,7 +59,7 @@ class NormalForceLinear(NormalForceTerm):
     """F_n = a u, with the lateral velocity u in units of `SPEED`."""
 
     title = "normal force linear in the lateral velocity"
-    curve = VELOCITY
+    term_curve = VELOCITY
 
     def basis(self, z):
         return z / SPEED
@@ -69,7 +69,7 @@ class NormalForceQuadratic(NormalForceTerm):
     """F_n = a u |u|, with the lateral velocity u in units of `SPEED`."""
 
     title = "normal force quadratic in the lateral velocity"
-    curve = VELOCITY
+    term_curve = VELOCITY
 
     def basis(self, z):
         return z * jnp.abs(z) / SPEED**2
@@ -79,7 +79,7 @@ class NormalForceCubic(NormalForceTerm):
     """F_n = a u^3, with the lateral velocity u in units of `SPEED`."""
 
     title = "normal force cubic in the lateral velocity"
-    curve = VELOCITY
+    term_curve = VELOCITY
 
     def basis(self, z):
         return (z / SPEED) ** 3
@@ -89,7 +89,7 @@ class NormalForceOneSided(NormalForceTerm):
     """F_n = a max(u, 0), with the lateral velocity u in units of `SPEED`."""
 
     title = "normal force on one side"
-    curve = VELOCITY
+    term_curve = VELOCITY
 
     def basis(self, z):
         return 0.5 * (z + magnitude(z, CORNER) - CORNER) / SPEED
@@ -99,7 +99,7 @@ class NormalForceOfAcceleration(ForceTerm):
     """F_n = a du_n/dt, with the acceleration in units of `ACCELERATION`."""
 
     title = "normal force proportional to the lateral acceleration"
-    curve = Curve("lateral acceleration du_n/dt", "m/s^2", "normal force F_n", "N/m")
+    term_curve = Curve("lateral acceleration du_n/dt", "m/s^2", "normal force F_n", "N/m")
 
     def state(self, x):
         return x.u_n_t
@@ -115,7 +115,7 @@ class NormalForceOfCurvature(ForceTerm):
     """F_n = a kappa u_n^2, with kappa in units of `CURVATURE` and u_n in units of `SPEED`."""
 
     title = "normal force of the flow along a curved body"
-    curve = Curve("kappa u_n^2", "m/s^2", "normal force F_n", "N/m")
+    term_curve = Curve("kappa u_n^2", "m/s^2", "normal force F_n", "N/m")
 
     def state(self, x):
         return x.kappa * x.u_n**2
@@ -131,7 +131,7 @@ class AxialForceQuadratic(ForceTerm):
     """F_tau = a u_n^2, with the lateral velocity in units of `SPEED`."""
 
     title = "axial force quadratic in the lateral velocity"
-    curve = Curve("lateral velocity u_n", "m/s", "axial force F_tau", "N/m")
+    term_curve = Curve("lateral velocity u_n", "m/s", "axial force F_tau", "N/m")
 
     def state(self, x):
         return x.u_n

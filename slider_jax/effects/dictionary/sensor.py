@@ -127,7 +127,7 @@ class PressureReadingPowers(SensorPowers):
 
     title = "nonlinearity of the pressure sensors"
     sensors = ("pressure",)
-    curve = Curve(*OF_READING)
+    term_curve = Curve(*OF_READING)
 
     def sensor(self):
         return PRESSURE
@@ -138,7 +138,7 @@ class PressureReadingDrift(SensorDrift):
 
     title = "drift of the pressure sensors"
     sensors = ("pressure",)
-    curve = Curve(*OF_TIME)
+    term_curve = Curve(*OF_TIME)
 
     def sensor(self):
         return PRESSURE
@@ -149,7 +149,7 @@ class PressureReadingSine(SensorSine):
 
     title = "a sine in the readings of the pressure sensors"
     sensors = ("pressure",)
-    curve = Curve(*OF_TIME)
+    term_curve = Curve(*OF_TIME)
 
     def sensor(self):
         return PRESSURE
@@ -160,7 +160,7 @@ class ThrustReadingPowers(SensorPowers):
 
     title = "nonlinearity of the thrust sensor"
     sensors = ("thrust",)
-    curve = Curve(*OF_READING)
+    term_curve = Curve(*OF_READING)
 
     def sensor(self):
         return THRUST
@@ -171,7 +171,7 @@ class ThrustReadingDrift(SensorDrift):
 
     title = "drift of the thrust sensor"
     sensors = ("thrust",)
-    curve = Curve(*OF_TIME)
+    term_curve = Curve(*OF_TIME)
 
     def sensor(self):
         return THRUST
@@ -182,7 +182,7 @@ class ThrustReadingSine(SensorSine):
 
     title = "a sine in the readings of the thrust sensor"
     sensors = ("thrust",)
-    curve = Curve(*OF_TIME)
+    term_curve = Curve(*OF_TIME)
 
     def sensor(self):
         return THRUST
@@ -193,7 +193,7 @@ class RecoilReadingPowers(SensorPowers):
 
     title = "nonlinearity of the recoil sensor"
     sensors = ("recoil",)
-    curve = Curve(*OF_READING)
+    term_curve = Curve(*OF_READING)
 
     def sensor(self):
         return RECOIL
@@ -204,7 +204,7 @@ class RecoilReadingDrift(SensorDrift):
 
     title = "drift of the recoil sensor"
     sensors = ("recoil",)
-    curve = Curve(*OF_TIME)
+    term_curve = Curve(*OF_TIME)
 
     def sensor(self):
         return RECOIL
@@ -215,7 +215,7 @@ class RecoilReadingSine(SensorSine):
 
     title = "a sine in the readings of the recoil sensor"
     sensors = ("recoil",)
-    curve = Curve(*OF_TIME)
+    term_curve = Curve(*OF_TIME)
 
     def sensor(self):
         return RECOIL
@@ -226,7 +226,7 @@ class TipReadingPowers(SensorPowers):
 
     title = "nonlinearity of the tip sensor"
     sensors = ("tip",)
-    curve = Curve(*OF_READING)
+    term_curve = Curve(*OF_READING)
 
     def sensor(self):
         return TIP
@@ -237,7 +237,7 @@ class TipReadingDrift(SensorDrift):
 
     title = "drift of the tip sensor"
     sensors = ("tip",)
-    curve = Curve(*OF_TIME)
+    term_curve = Curve(*OF_TIME)
 
     def sensor(self):
         return TIP
@@ -248,7 +248,7 @@ class TipReadingSine(SensorSine):
 
     title = "a sine in the readings of the tip sensor"
     sensors = ("tip",)
-    curve = Curve(*OF_TIME)
+    term_curve = Curve(*OF_TIME)
 
     def sensor(self):
         return TIP
