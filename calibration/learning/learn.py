@@ -255,7 +255,8 @@ def _conclude(
     used = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
     own = [outcome.chosen.predicted[used.index(i)] for i in found.estimation]
     sizes = relative_changes(problem.channels, own, fit.predicted)
-    if not any(x > CHANNELS[c].discrepancy for c, x in sizes.items()):
+    limits = problem.discrepancies
+    if not any(x > limits[c] for c, x in sizes.items()):
         found.reason = "the terms change every channel by less than the discretisation discrepancy"
         return
     excess, tested = [tested_excess(problem, fit)], outcome.held or found.estimation

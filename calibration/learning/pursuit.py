@@ -93,7 +93,7 @@ def _short_list(
     for name, group in groups.items():
         x = score(name, group, current.free, blocks, current.inflation, many, settings)
         surplus = x.gain - _threshold(len(group), many, settings)
-        if surplus > 0.0 and agreement(x.left_out).agreed(settings):
+        if surplus > 0.0 and agreement(x.left_out, x.held_gains).agreed(settings):
             found.append((surplus, x))
     return sorted(found, key=lambda pair: -pair[0])
 

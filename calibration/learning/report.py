@@ -154,7 +154,7 @@ def testing_trial(
     )
 
     def distance(channels: list[list[ChannelInformation]]) -> float:
-        return model_distance(channels[0], learned.fit.inflation).sigmas
+        return model_distance(channels[0], learned.fit.inflation, problem.discrepancies).sigmas
 
     try:
         search = TrialSearch([prediction], distance, limits_of(outcome.experiment))
