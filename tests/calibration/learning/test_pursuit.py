@@ -1,0 +1,80 @@
+"""The pursuit of dictionary terms on sums of known series."""
+
+import numpy as np
+import pytest
+
+from calibration.discrepancy.refits import Refits
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton
+from calibration.inference.problem import ChannelBlock, total
+from calibration.learning.pursuit import Stability, halves, place_gains, stability
+from calibration.model.extended import Parameter
+from slider_jax.effects import Prior
+from tests.support.sums import TRIALS, Sums
+
+SHAPES = np.random.default_rng(2).normal(size=(7, TRIALS, 300))
+"""Readings per unit of the base parameter and of six parameters in three groups."""
+ENTRIES = [Parameter("", "k", Prior(np.nan, -50.0, 50.0, "-", ""))] + [
+    Parameter("term", str(i), Prior(0.0, -50.0, 50.0, "-", "")) for i in range(6)
+]
+PLACES = {
+    "Flow": {"first": np.array([1, 2]), "second": np.array([3])},
+    "ForceDensity": {"third": np.array([4, 5, 6])},
+}
+
+
+def found(truth, seed=0, shapes=SHAPES):
+    problem = Sums(truth, shapes, seed=seed)
+    start = fit_gauss_newton(problem, ENTRIES, np.zeros(7), np.array([0]))
+    residuals = problem.residuals(start.predicted, {})
+    assert np.isclose(total(residuals), start.square)
+    refits = Refits(problem, ENTRIES, {}, lambda text: None, DEFAULT_SETTINGS)
+    J = problem.whitened(problem.tangents(start.theta, np.eye(7)), {})
+    return place_gains(refits, start, PLACES, J)
+
+
+def test_the_pursuit_finds_the_groups_and_the_place():
+    best, other = found([1.0, 0.5, -0.3, 0.4, 0.0, 0.0, 0.0])
+    assert best.place == "Flow" and best.groups == ["first", "second"]
+    np.testing.assert_allclose(best.fit.theta, [1.0, 0.5, -0.3, 0.4, 0.0, 0.0, 0.0], atol=0.02)
+    assert (other.place, other.groups, other.gain) == ("ForceDensity", [], 0.0)
+
+
+def test_a_group_that_the_base_parameter_can_absorb_is_not_found():
+    shapes = SHAPES.copy()
+    shapes[3] = shapes[0]
+    assert not any(x.groups for x in found([1.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0], shapes=shapes))
+
+
+def test_noise_alone_has_no_group():
+    """Each experiment adds a group with the declared probability of at most 0.001."""
+    assert not any(x.groups for seed in range(100) for x in found([1.0] + 6 * [0.0], seed))
+
+
+def test_the_halves_alternate_in_frequency():
+    assert halves([3.0, 1.0, None, 2.0, 5.0, 4.0]) == ([2, 3, 5], [0, 1, 4])
+
+
+def block(trial, A, b):
+    return ChannelBlock(trial, "tip", np.array(A), np.array(b), 0.0, 100)
+
+
+@pytest.mark.parametrize(("pull", "confirmed"), [(1.0, True), (30.0, False)])
+def test_a_group_that_one_trial_determines_is_not_confirmed(pull, confirmed):
+    """The first trial pulls the coefficient by `pull`/300, and the other trials pull it back."""
+    A = [[100.0, 0.0], [0.0, 150.0]]
+    blocks = [block(0, A, [0.0, pull])] + [block(i, A, [0.0, -0.5 * pull]) for i in (1, 2)]
+    x = stability(blocks, np.array([1.0, 0.15]), np.array([1]), 1, 1.0)
+    assert x.change == pytest.approx(pull / 300.0 / 0.15)
+    assert x.confirmed == confirmed and x.p < 0.01
+
+
+def test_a_group_without_a_significant_gain_is_not_confirmed():
+    assert not Stability(0.02, 0.0).confirmed
+    blocks = [block(i, [[1.0, 0.0], [0.0, 1.0]], [0.0, 0.0]) for i in range(3)]
+    assert stability(blocks, np.array([1.0, 1.0]), np.array([1]), 1, 1.0).p > 0.05
+
+
+def test_the_fit_without_a_group_is_the_start():
+    (best, *_) = found([1.0] + 6 * [0.0])
+    assert isinstance(best.fit, Fit) and list(best.fit.free) == [0]

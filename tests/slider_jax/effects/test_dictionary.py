@@ -1,0 +1,58 @@
+"""The terms of the dictionary: null, tangents, basis functions, and use in a model file."""
+
+import importlib
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from calibration.model.extended import candidate_effects
+from slider_jax.effects import dictionary
+from slider_jax.effects.check import checked_effects
+from slider_jax.effects.library import DICTIONARY, LIBRARY
+from slider_jax.experiment.load import assemble
+from slider_jax.simulation.effect_signature import built_in_experiment
+from slider_jax.simulation.trial import simulate_trial
+
+FILES = sorted(path.stem for path in Path(dictionary.__file__).parent.glob("[a-z]*.py"))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_terms_vanish_at_their_nulls_and_have_finite_tangents(name):
+    """`checked_effects` refuses a term that does not."""
+    module = importlib.import_module(f"slider_jax.effects.dictionary.{name}")
+    kinds = checked_effects(module, name, {})
+    assert {kind.name() for kind in kinds} <= set(DICTIONARY)
+    assert all(prior.null == 0.0 for kind in kinds for prior in kind.priors().values())
+
+
+def test_the_dictionary_is_no_part_of_the_library():
+    assert len(FILES) == 4 and len(DICTIONARY) == 32
+    assert not set(DICTIONARY) & (set(LIBRARY) | set(candidate_effects()))
+
+
+@pytest.mark.parametrize("name", DICTIONARY)
+def test_a_term_has_a_basis_function_for_every_parameter_or_for_every_part(name):
+    effect = DICTIONARY[name]()
+    basis = np.asarray(effect.basis(jnp.linspace(-1.0, 1.0, 5)))
+    assert np.isfinite(basis).all() and np.abs(basis).max() > 0.0
+    if set(effect.priors()) == {"body", "tail"}:
+        assert basis.shape == (5,)
+    else:
+        assert basis.shape == (len(effect.priors()), 5)
+
+
+def test_the_simulation_of_a_model_file_contains_its_terms(tmp_path):
+    content = built_in_experiment().model_dump()
+    content["numerics"] |= {"nodes": 11, "step": 5e-3}
+    content["trials"] = [content["trials"][0] | {"duration": 0.1}]
+
+    def thrust(text):
+        (tmp_path / "model.toml").write_text(text)
+        experiment = assemble(content, "test", tmp_path, tmp_path / "model.toml")
+        return simulate_trial(experiment, declared_drive=True).series["thrust"]
+
+    table = '[[effects]]\nname = "normal_force_cubic"\nbody = {}\ntail = {}\n'
+    null, changed = thrust(table.format(0.0, 0.0)), thrust(table.format(-5.0, -5.0))
+    assert np.isfinite(changed).all() and np.abs(changed - null).max() > 1e-3 * np.abs(null).max()
