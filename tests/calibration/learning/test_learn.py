@@ -1,6 +1,7 @@
 """Learning on a small simulated tank whose cause is outside the library."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,6 +92,6 @@ def test_the_report_states_the_function_and_the_model_file_contains_it(learned, 
 
 def test_too_few_trials_teach_nothing(learned):
     outcome, _ = learned
-    few = learn_terms(outcome.__class__(**vars(outcome) | {"held": outcome.held + [0]}))
+    few = learn_terms(replace(outcome, held=[*outcome.held, 0], excess={}))
     assert few.model is None and "at least eight usable trials" in few.reason
-    assert learn_terms(outcome.__class__(**vars(outcome) | {"verdict": "identified"})) is None
+    assert learn_terms(replace(outcome, verdict="identified")) is None
