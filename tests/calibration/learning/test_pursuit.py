@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from calibration.discrepancy.refits import Refits
+from calibration.discrepancy.rounds import Agreement
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.problem import ChannelBlock, total
+from calibration.learning import pursuit
 from calibration.learning.pursuit import Stability, halves, place_gains, stability
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
@@ -46,8 +48,17 @@ def test_a_group_that_the_base_parameter_can_absorb_is_not_found():
     assert not any(x.groups for x in found([1.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0], shapes=shapes))
 
 
-def test_noise_alone_has_no_group():
+def test_a_group_that_is_nearly_parallel_to_the_base_parameter_is_found():
+    """Only a tenth of its readings is orthogonal to those of the base parameter."""
+    shapes = SHAPES.copy()
+    shapes[3] = shapes[0] + 0.1 * SHAPES[3]
+    best, _ = found([1.0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0], shapes=shapes)
+    assert best.groups == ["second"]
+
+
+def test_noise_alone_has_no_group(monkeypatch):
     """Each experiment adds a group with the declared probability of at most 0.001."""
+    monkeypatch.setattr(pursuit, "agreement", lambda left_out: Agreement(np.inf, 0.0))
     assert not any(x.groups for seed in range(100) for x in found([1.0] + 6 * [0.0], seed))
 
 
