@@ -57,7 +57,7 @@ def excess(
 def tested_excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
     """Returns `excess` with the tests of whiteness."""
     residuals = whitened_residuals(problem, fit)
-    tests = whiteness_tests(problem.records, fit.predicted, residuals)
+    tests = whiteness_tests(problem.records, fit.predicted, residuals, problem.discrepancies)
     return {
         c: x._replace(series=tuple(s for s in tests if s.channel == c))
         for c, x in excess(problem, fit, residuals).items()

@@ -120,7 +120,7 @@ def _correlation_times(
     problem: AbstractProblem, fit: Fit, residuals: dict[tuple[int, str], np.ndarray]
 ) -> dict[tuple[int, str], float]:
     """Returns the factor tau of each series with a significant correlation."""
-    tests = whiteness_tests(problem.records, fit.predicted, residuals)
+    tests = whiteness_tests(problem.records, fit.predicted, residuals, problem.discrepancies)
     significant = {(x.trial, x.channel) for x in tests if x.correlation_p < FALSE_ALARM_P}
     return {
         (i, channel): max(correlation_time(r), 1.0)

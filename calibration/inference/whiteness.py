@@ -55,6 +55,9 @@ class SeriesTest(NamedTuple):
     """Frequency of the sine that explains most of the whitened residual."""
     amplitude: float
     """Amplitude of this sine in the measured minus predicted readings, in the channel's unit."""
+    least_amplitude: float = 0.0
+    """Amplitude of a sine whose rms is the model-discretisation discrepancy. A smaller sine does
+    not count: the discrepancy allows for it."""
 
     @property
     def correlated(self) -> bool:
@@ -64,18 +67,21 @@ class SeriesTest(NamedTuple):
     @property
     def has_line(self) -> bool:
         """Returns whether the series has a significant and large sine."""
-        return self.line > MIN_LINE and self.line_p < FALSE_ALARM_P
+        large = self.line > MIN_LINE and self.amplitude > self.least_amplitude
+        return large and self.line_p < FALSE_ALARM_P
 
 
 def whiteness_tests(
     records: Sequence[Record],
     predicted: Sequence[np.ndarray],
     residuals: Mapping[tuple[int, str], np.ndarray],
+    discrepancies: Mapping[str, float],
 ) -> list[SeriesTest]:
     """Returns the tests of the whitened `residuals` of each trial (index) and channel.
 
-    `predicted` are the readings (channels, samples) of the model. Series with fewer than `FEWEST`
-    readings or readings that are not finite are omitted.
+    `predicted` are the readings (channels, samples) of the model. `discrepancies` are those of the
+    channels, as fractions of the rms. Series with fewer than `FEWEST` readings or readings that are
+    not finite are omitted.
     """
     found = []
     for (i, channel), white in residuals.items():
@@ -86,7 +92,9 @@ def whiteness_tests(
         place = sample_places(t)
         correlation, line = ljung_box(white, place), fisher_line(white, place)
         sine = sine_at_peak(t, raw, white)
-        found.append(SeriesTest(records[i].trial.file, channel, *correlation, *line, *sine))
+        least = np.sqrt(2.0) * discrepancies[channel] * float(np.std(predicted[i][row][there]))
+        name = records[i].trial.file
+        found.append(SeriesTest(name, channel, *correlation, *line, *sine, least))
     many = 2 * len(found)
     return [
         x._replace(correlation_p=min(1.0, many * x.correlation_p), line_p=min(1.0, many * x.line_p))

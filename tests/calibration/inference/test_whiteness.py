@@ -17,8 +17,11 @@ from slider_jax.experiment.schema import Trial
 T = np.arange(1250) / 500.0
 
 
-def results_of(raw, white, t=T):
-    """Returns the tests of one trial per row of `raw` and `white` (trials, n), for the thrust."""
+def results_of(raw, white, t=T, model=0.0):
+    """Returns the tests of one trial per row of `raw` and `white` (trials, n), for the thrust.
+
+    The discrepancy is 1 % of the rms of the predicted readings `model`.
+    """
     found, zero = [], np.zeros((len(CHANNELS), len(t)))
     for number, x in enumerate(raw):
         trial = Trial(file=f"{number}.csv", frequency=2.0, amplitude=1e5, duration=t[-1])
@@ -26,7 +29,21 @@ def results_of(raw, white, t=T):
         values[row_of("thrust")] = x
         found.append(Record(trial, t, values))
     residuals = {(i, "thrust"): x for i, x in enumerate(white)}
-    return whiteness_tests(found, [zero] * len(found), residuals)
+    predicted = zero + model
+    for record in found:
+        record.values[row_of("thrust")] += model
+    return whiteness_tests(found, [predicted] * len(found), residuals, {"thrust": 0.01})
+
+
+def test_a_sine_within_the_discrepancy_does_not_count():
+    """The sine has the amplitude 0.5 and the rms 0.354."""
+    noise = np.random.default_rng(4).normal(size=(1, len(T)))
+    sine = 0.5 * np.sin(2.0 * np.pi * 13.0 * T)
+    for size, counts in ((50.0, False), (20.0, True)):
+        model = size * np.sign(np.sin(2.0 * np.pi * 2.0 * T + 0.1))
+        (found,) = results_of(noise + sine, noise + sine, model=model)
+        assert found.least_amplitude == pytest.approx(np.sqrt(2.0) * 0.01 * size, rel=1e-2)
+        assert found.has_line == counts
 
 
 def test_the_p_values_of_white_series_are_uniform():
