@@ -96,7 +96,7 @@ def whiteness_tests(
         correlation, line = ljung_box(white, place), fisher_line(white, place)
         sine = sine_at_peak(t, raw, white)
         share = TRIAL_SHARE * discrepancies[channel]
-        least = np.sqrt(2.0) * share * float(np.std(predicted[i][row][there]))
+        least = float(np.sqrt(2.0) * share * np.std(predicted[i][row][there]))
         name = records[i].trial.file
         found.append(SeriesTest(name, channel, *correlation, *line, *sine, least))
     many = 2 * len(found)
