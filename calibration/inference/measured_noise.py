@@ -17,11 +17,14 @@ from calibration.measurements.records import Record
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.experiment.schema import SensorsTable
 
-TOO_SMALL, TOO_LARGE = 1.2, 0.8
+TOO_SMALL, TOO_LARGE = 1.15, 0.8
 """The measured noise replaces the declared noise if their ratio is above or below these values.
 With the right declared noise, the ratio was 0.97 to 1.07 in 54 of 55 channels of eleven data sets
 of the independent program, and 0.87 in one channel. A ratio of 1.22 alone would raise the residual
 above the noise floor."""
+ERRORS = 3.0
+"""Two noises differ only if their difference also exceeds this many standard errors. With 70
+readings in a trial, an estimate has a standard error of 14 %."""
 ORDERS = (4, 6)
 """Orders of the differences. The fourth order has less scatter. The sixth order suppresses more of
 the signal of a camera with 100 frames per second."""
@@ -29,7 +32,8 @@ SMALLER = 0.9
 """Another estimate replaces that of the fourth order if their ratio is below this value. The
 smallest of several estimates of the same noise would be too small."""
 SIGNAL = 1.2
-"""Largest estimate of a trial that is used, divided by the median over the trials."""
+"""Largest estimate of a trial that is used, divided by the median over the trials, plus `ERRORS`
+standard errors."""
 CLIP = 3.0
 """Differences beyond this many standard deviations are left out: they contain a switch of the drive
 or an outlier."""
@@ -45,6 +49,24 @@ FEWEST = 30
 """Smallest number of differences from which the noise of a trial is measured."""
 HIGH_BAND, STRIDES = "successive differences", "differences between strides"
 NOT_MEASURED, THINNED = "not measured", "differences of every third reading"
+
+
+class Estimate(NamedTuple):
+    """A white noise that was measured from differences of readings."""
+
+    size: float
+    """Standard deviation of the noise; infinite if no trial has enough readings."""
+    error: float
+    """Standard error of the size, as a fraction of the size."""
+    method: str
+
+    def is_below(self, share: float, other: float) -> bool:
+        """Returns whether the noise is below a fraction of the noise `other`."""
+        return self.size < min(share, 1.0 - ERRORS * self.error) * other
+
+    def is_above(self, factor: float, other: float) -> bool:
+        """Returns whether the noise is above a multiple of the noise `other`."""
+        return self.size > max(factor, 1.0 + ERRORS * self.error) * other
 
 
 class ChannelNoise(NamedTuple):
@@ -89,27 +111,26 @@ def _channel_noise(sensors: SensorsTable, channel: str, records: list[Record]) -
     declared = expected if key and getattr(sensors, key) > 0.0 else None
     lags = [_stride(r, channel) for r in records]
     repeated = [x[n:] - x[:-n] for x, n in zip(series, lags, strict=True) if 0 < n < len(x)]
+    best, *others = [_pooled(series, order, HIGH_BAND) for order in ORDERS]
     # The difference of two readings has twice the variance of the noise.
-    estimates = [(_pooled(series, order), HIGH_BAND) for order in ORDERS]
-    estimates.append((_pooled(repeated, ORDERS[0]) / math.sqrt(2.0), STRIDES))
-    measured, method = estimates[0]
-    for x, name in estimates[1:]:
-        if x < SMALLER * measured:
-            measured, method = x, name
-    if not np.isfinite(measured):
+    strides = _pooled(repeated, ORDERS[0], STRIDES)
+    for x in (*others, strides._replace(size=strides.size / math.sqrt(2.0))):
+        if x.is_below(SMALLER, best.size):
+            best = x
+    if not np.isfinite(best.size):
         return ChannelNoise(declared, None, expected, NOT_MEASURED)
     if declared is None:
-        return ChannelNoise(None, measured, expected, method)
-    if measured < TOO_LARGE * declared:
-        thinned = _pooled([x[::THINNING] for x in series], ORDERS[0])
-        if thinned > TOO_LARGE * declared:
-            return ChannelNoise(declared, measured, declared, method)
-        if thinned > measured:
-            measured, method = thinned, THINNED
-    if TOO_LARGE * declared <= measured <= TOO_SMALL * declared:
-        return ChannelNoise(declared, measured, declared, method)
+        return ChannelNoise(None, best.size, expected, best.method)
+    if best.is_below(TOO_LARGE, declared):
+        thinned = _pooled([x[::THINNING] for x in series], ORDERS[0], THINNED)
+        if np.isfinite(thinned.size) and not thinned.is_below(TOO_LARGE, declared):
+            return ChannelNoise(declared, best.size, declared, best.method)
+        if best.size < thinned.size < np.inf:
+            best = thinned
+    elif not best.is_above(TOO_SMALL, declared):
+        return ChannelNoise(declared, best.size, declared, best.method)
     least = min(declared, _least_noise(sensors, channel, series))
-    return ChannelNoise(declared, measured, max(measured, least), method)
+    return ChannelNoise(declared, best.size, max(best.size, least), best.method)
 
 
 def _least_noise(sensors: SensorsTable, channel: str, series: list[np.ndarray]) -> float:
@@ -127,17 +148,30 @@ def _stride(record: Record, channel: str) -> int:
     return round(1.0 / (f * float(np.median(np.diff(t))))) if f else 0
 
 
-def _pooled(series: Sequence[np.ndarray], order: int) -> float:
-    """Returns the rms of `robust_noise_floor` over all trials, or inf without a long trial.
+def _pooled(series: Sequence[np.ndarray], order: int, method: str) -> Estimate:
+    """Returns the rms of `robust_noise_floor` over all trials.
 
-    Trials above the median by more than `SIGNAL` are omitted: they contain a part of the signal.
+    Trials clearly above the median are omitted: they contain a part of the signal.
     """
     long = [x for x in series if len(x) - order >= FEWEST]
     if not long:
-        return math.inf
-    each, counts = np.array([(robust_noise_floor(x, order), len(x)) for x in long]).T
-    kept = each <= SIGNAL * np.median(each)
-    return float(np.sqrt(np.average(each[kept] ** 2, weights=counts[kept])))
+        return Estimate(math.inf, 0.0, method)
+    sizes, counts = np.array([(robust_noise_floor(x, order), len(x)) for x in long]).T
+    errors = difference_error(order) / np.sqrt(counts)
+    kept = sizes <= (SIGNAL + ERRORS * errors) * np.median(sizes)
+    size = float(np.sqrt(np.average(sizes[kept] ** 2, weights=counts[kept])))
+    return Estimate(size, difference_error(order) / math.sqrt(counts[kept].sum()), method)
+
+
+def difference_error(order: int) -> float:
+    """Returns the relative standard error of a noise from n differences, times sqrt(n).
+
+    Differences of white noise have the autocorrelation C(2m, m + k)/C(2m, m) at the lag k, for the
+    order m. The mean square of n correlated normal variables has the relative variance (2/n) times
+    the sum of squared autocorrelations.
+    """
+    rho = [math.comb(2 * order, order + k) / math.comb(2 * order, order) for k in range(order + 1)]
+    return math.sqrt(0.5 * (1.0 + 2.0 * sum(x**2 for x in rho[1:])))
 
 
 def robust_noise_floor(values: np.ndarray, order: int) -> float:

@@ -66,6 +66,22 @@ def test_the_right_declared_noise_is_measured_within_a_tenth_and_kept():
             assert x.of_trial(noise) is noise
 
 
+def test_the_scatter_of_few_readings_does_not_replace_the_right_noise():
+    few, rng, replaced = SENSORS.model_copy(update={"tip_noise": 5e-4}), np.random.default_rng(0), 0
+    for _ in range(300):
+        found = []
+        for f, seconds in ((0.6, 1.65), (0.95, 1.05), (2.4, 0.66), (3.8, 0.66), (6.0, 0.66)):
+            t = np.arange(100.0 * seconds) / 100.0
+            values = np.full((len(CHANNELS), len(t)), np.nan)
+            signal = 0.03 * np.sin(2.0 * np.pi * f * t)
+            values[row_of("tip")] = signal + 5e-4 * rng.normal(size=len(t))
+            trial = Trial(file="a.csv", frequency=f, amplitude=2.5e5, duration=seconds)
+            found.append(Record(trial, t, values))
+        replaced += measured_noises(few, found)["tip"].replaced
+    # Of 300 normal variables, about one deviates by more than three standard errors.
+    assert replaced <= 3
+
+
 @pytest.mark.parametrize("ratio", [0.6, 1.4, 2.0])
 def test_a_wrong_declared_noise_is_replaced(ratio):
     found = measured_noises(SENSORS, records(700.0 * ratio, 0.02 * ratio))
