@@ -135,13 +135,54 @@ def close_loop_on_trials(
 ) -> LoopOutcome:
     """Returns the loop's result: the effects that are missing in the model of the measured trials.
 
-    `effects` are the candidates' names (default: the whole library). Residuals are computed at the
-    resolution `fine` and tangents at `coarse`. Trials of the files `kept` are not held out. If the
-    noise of a channel has heavy tails, the loop runs again with weights for this noise. Raises
-    `InputError` if fewer than `settings.min_trials` trials can be used.
+    The audit decides which readings `close_loop_on_records` uses. The arguments are the same.
+    Raises `InputError` if fewer than `settings.min_trials` trials can be used.
     """
-    noise: dict[str, ChannelNoise] = {}
+    names = tuple(candidate_effects() if effects is None else effects)
+    initial = base_vector(model_parameters(names), base_values(experiment))
+    with background_thread() as background:
+
+        def predict(few: Sequence[Record]) -> list[np.ndarray]:
+            # While the coarse mesh simulates, the other thread compiles the programs for later.
+            problem = TankProblem.of(experiment, list(few), names, fine=fine, coarse=coarse)
+            for compile_programs in problem.compilations(initial):
+                background.submit(compile_programs)
+            return problem.on_coarse_mesh().predict(initial)
+
+        progress("auditing the data")
+        audited = audit_measurements(experiment, settings.min_trials, predict)
+        for finding in audited.findings:
+            progress(str(finding))
+        outcome = close_loop_on_records(
+            experiment, audited.records, names, progress, fine, coarse, memo, kept, settings
+        )
+    return replace(outcome, audit=[*audited.findings, *outcome.audit])
+
+
+def close_loop_on_records(
+    experiment: Experiment,
+    records: Sequence[Record],
+    effects: Sequence[str],
+    progress: Callable[[str], None] = lambda text: None,
+    fine: Resolution = FINE,
+    coarse: Resolution = COARSE,
+    memo: Memo | None = None,
+    kept: Collection[str] = (),
+    settings: SelectionSettings = DEFAULT_SETTINGS,
+) -> LoopOutcome:
+    """Returns the loop's result on audited readings.
+
+    `effects` are the candidates' names. Residuals are computed at the resolution `fine` and
+    tangents at `coarse`. Trials of the files `kept` are not held out. Outlying trials are left out,
+    and the loop runs again. If the noise of a channel has heavy tails, the loop runs again with
+    weights for this noise.
+    """
+    names, base = tuple(effects), base_values(experiment)
+    noise = measured_noises(experiment.sensors, records)
     weighed: dict[tuple[str, str], Noise] = {}
+    for channel, x in noise.items():
+        if x.replaced:
+            progress(f"{channel}: the measured noise replaces the declared noise")
 
     def problem_of(chosen: Sequence[Record]) -> TankProblem:
         problem = TankProblem.of(
@@ -153,53 +194,31 @@ def close_loop_on_trials(
         }
         return replace(problem, memo=memo, noise=own)
 
-    names = tuple(candidate_effects() if effects is None else effects)
-    entries = model_parameters(names)
-    base = base_values(experiment)
-    initial = base_vector(entries, base)
-
     def outcome_of(records: Sequence[Record]) -> LoopOutcome:
         held = choose_held_out(records, kept, settings)
         return conclude(
             experiment, names, records, held, problem_of, base, tuple(BASE), progress, settings
         )
 
-    with background_thread() as background:
-
-        def predict(few: Sequence[Record]) -> list[np.ndarray]:
-            # While the coarse mesh simulates, the other thread compiles the programs for later.
-            problem = problem_of(few)
-            for compile_programs in problem.compilations(initial):
-                background.submit(compile_programs)
-            return problem.on_coarse_mesh().predict(initial)
-
-        progress("auditing the data")
-        audited = audit_measurements(experiment, settings.min_trials, predict)
-        for finding in audited.findings:
+    outcome = outcome_of(records)
+    residuals = whitened_residuals(outcome.problem, outcome.final)
+    each = excess(outcome.problem, outcome.final, residuals)
+    trials = [r.trial for r in outcome.problem.records]
+    outlying = residual_outliers(trials, {c: x.trials for c, x in each.items()})
+    named = {x.trial for x in outlying}
+    rest = [r for r in records if r.trial.file not in named]
+    if outlying and len(rest) >= settings.min_trials:
+        for finding in outlying:
             progress(str(finding))
-        noise |= measured_noises(experiment.sensors, audited.records)
-        for channel, x in noise.items():
-            if x.replaced:
-                progress(f"{channel}: the measured noise replaces the declared noise")
-        outcome = outcome_of(audited.records)
+        outcome = outcome_of(rest)
         residuals = whitened_residuals(outcome.problem, outcome.final)
-        each = excess(outcome.problem, outcome.final, residuals)
-        trials = [r.trial for r in outcome.problem.records]
-        outlying = residual_outliers(trials, {c: x.trials for c, x in each.items()})
-        named = {x.trial for x in outlying}
-        rest = [r for r in audited.records if r.trial.file not in named]
-        if outlying and len(rest) >= settings.min_trials:
-            for finding in outlying:
-                progress(str(finding))
-            outcome = outcome_of(rest)
-            residuals = whitened_residuals(outcome.problem, outcome.final)
-        tails = heavy_tails(residuals)
-        if tails:
-            progress(f"running again: the noise of {', '.join(tails)} has heavy tails")
-            weighed |= robust_noise(outcome.problem, residuals, tails)
-            noise |= {c: noise[c]._replace(freedom=x.freedom) for c, x in tails.items()}
-            outcome = outcome_of(outcome.problem.records)
-    return replace(outcome, audit=[*audited.findings, *outlying], noise=noise)
+    tails = heavy_tails(residuals)
+    if tails:
+        progress(f"running again: the noise of {', '.join(tails)} has heavy tails")
+        weighed |= robust_noise(outcome.problem, residuals, tails)
+        noise |= {c: noise[c]._replace(freedom=x.freedom) for c, x in tails.items()}
+        outcome = outcome_of(outcome.problem.records)
+    return replace(outcome, audit=outlying, noise=noise)
 
 
 def robust_noise(

@@ -281,6 +281,21 @@ class TankProblem(AbstractProblem):
             },
         )
 
+    def part(self, chosen: Sequence[int]) -> "TankProblem":
+        """Returns the problem of the trials with the indices `chosen`."""
+        return replace(
+            self,
+            records=[self.records[i] for i in chosen],
+            noise={
+                (k, channel): self.noise[i, channel]
+                for k, i in enumerate(chosen)
+                for channel in self.channels
+                if (i, channel) in self.noise
+            },
+            fine=[self.fine[i] for i in chosen],
+            coarse_plans=[self.coarse_plans[i] for i in chosen],
+        )
+
     def on_coarse_mesh(self) -> "TankProblem":
         # The names of cached readings do not contain the mesh.
         return replace(self, fine=self.coarse_plans, memo=None)

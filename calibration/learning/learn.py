@@ -86,22 +86,6 @@ class Dictionary:
             found.setdefault(kind.place() + sensor, {})[name] = scored[name]
         return found
 
-    def trials(self, chosen: Sequence[int]) -> TankProblem:
-        """Returns the problem of the trials with the indices `chosen`."""
-        problem = self.problem
-        return replace(
-            problem,
-            records=[problem.records[i] for i in chosen],
-            noise={
-                (k, channel): problem.noise[i, channel]
-                for k, i in enumerate(chosen)
-                for channel in problem.channels
-                if (i, channel) in problem.noise
-            },
-            fine=[problem.fine[i] for i in chosen],
-            coarse_plans=[problem.coarse_plans[i] for i in chosen],
-        )
-
     def search(
         self, used: Sequence[int], chosen: Sequence[int], progress: Progress
     ) -> list[PlaceGain]:
@@ -109,7 +93,7 @@ class Dictionary:
 
         The outcome's fit to the trials `used` already contains their readings.
         """
-        problem, fit = self.trials(chosen), self.outcome.chosen
+        problem, fit = self.problem.part(chosen), self.outcome.chosen
         predicted = [fit.predicted[list(used).index(i)] for i in chosen]
         white = problem.whiteners(predicted)
         residuals = problem.residuals(predicted, white)
@@ -210,7 +194,7 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
 def _estimate(found: Learning, best: PlaceGain, progress: Progress) -> None:
     """Fits the terms of the `best` place to the other half, and sets `model` or `reason`."""
     known = found.dictionary
-    problem, groups = known.trials(found.estimation), scoring_entries(known.entries)
+    problem, groups = known.problem.part(found.estimation), scoring_entries(known.entries)
     terms, theta = best.groups, best.fit.theta
     while terms:
         progress(f"estimating {', '.join(terms)}")
@@ -263,7 +247,7 @@ def _conclude(
     errors = channel_errors(problem, own, fit.predicted)
     if outcome.held:
         progress("predicting the held-out trials with the learned function")
-        rest = known.trials(outcome.held)
+        rest = known.problem.part(outcome.held)
         if held_out_growth(rest, before, fit).vetoes(outcome.search.settings):
             found.reason = "the selected terms increase the error in the held-out trials"
             return
