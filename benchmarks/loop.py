@@ -1,123 +1,213 @@
 """Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
-    python benchmarks/loop.py null coverage single double outside --out DIR
+    python benchmarks/loop.py null noise single double outside --out DIR
     python benchmarks/loop.py table --out DIR
 
-The benchmark writes one file per case to DIR. An interrupted run resumes when you repeat the
-command. `table` prints a summary of all files. The other methods need scikit-learn.
+The benchmark writes one file per tank to DIR. An interrupted run resumes when you repeat the
+command, and several processes can share DIR (--part). `table` prints a summary of all files. The
+other methods need scikit-learn.
 """
 
 import argparse
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import null
 import numpy as np
 import other_methods
 from summary import summary_tables
 from tanks import (
+    NOISES,
     close_tank_loop,
     detection_limits,
     noisy_records,
-    problem_of,
     sample_tank,
     true_readings,
 )
 from unknown_effects import UNKNOWN_EFFECTS
 
-from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out
+from calibration.discrepancy import report
+from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.inference.goodness import noise_floors, rms_errors
-from calibration.inference.problem import AbstractProblem
+from calibration.inference.problem import AbstractProblem, TankProblem
+from calibration.learning.learn import Learning, learn_terms
+from calibration.learning.report import excess_removed
 from calibration.model.extended import candidate_effects
-from slider_jax.effects.library import LIBRARY
+from slider_jax.cli.main import prepare_jax
+from slider_jax.effects.library import LIBRARY, load_effects
 from slider_jax.io.files import versions, write_json
-from slider_jax.precision import enable_float64
 
-SIZE_PARAMETERS = {
-    "valve_delay": "delay", "fill_vent_asymmetry": "ratio", "leakage": "leak",
-    "choked_flow": "inverse", "line_lag": "tau", "actuator_hysteresis": "amplitude",
-    "body_stiffness": "x", "cubic_elasticity": "b", "clamp_compliance": "compliance",
-    "tangential_friction": "C_t", "tip_mass": "mass", "tank_current": "U_x",
-    "force_crosstalk": "angle", "camera_delay": "delay",
-    "chamber_mismatch": "difference", "pressure_sensor_lag": "tau",
+SINGLES = {
+    "valve_delay": "delay", "rear_valve_delay": "delay", "regulator_gain": "gain",
+    "supply_depletion": "rate",
+    "fill_vent_asymmetry": "ratio", "leakage": "leak", "choked_flow": "inverse",
+    "valve_overlap": "band", "side_lag": "x", "lag_mismatch": "x",
+    "line_lag": "tau", "actuator_hysteresis": "amplitude", "chamber_mismatch": "difference",
+    "side_mismatch": "difference", "actuator_creep": "share",
+    "body_stiffness": "x", "tail_stiffness": "x", "material_damping": "x",
+    "cubic_elasticity": "b", "internal_friction": "z_c", "tail_relaxation": "E_1",
+    "tail_rest_curvature": "kappa_0", "joint_compliance": "compliance",
+    "clamp_compliance": "compliance", "sway_compliance": "compliance",
+    "tangential_friction": "C_t", "tip_mass": "mass", "tail_drag": "C", "side_drag": "C",
+    "head_drag": "area",
+    "tank_current": "U_x", "tow_speed_error": "gain",
+    "pressure_sensor_lag": "tau", "force_crosstalk": "angle", "force_clock_offset": "delay",
+    "camera_delay": "delay", "lens_distortion": "k",
 }  # fmt: skip
 """Effects, and for each effect the parameter that sets the effect's size."""
-SIZES = (1, 3, 10)
+SIZES = (10, 3, 1)
 """Sizes of the effects, as multiples of the detection limit."""
 PAIRS = (
     ("valve_delay", "tangential_friction"), ("fill_vent_asymmetry", "camera_delay"),
     ("leakage", "clamp_compliance"), ("line_lag", "tank_current"),
+    ("force_crosstalk", "tail_stiffness"),
     ("actuator_hysteresis", "tank_current"), ("line_lag", "camera_delay"),
     ("clamp_compliance", "choked_flow"), ("tank_current", "body_stiffness"),
+    ("camera_delay", "side_lag"),
     ("valve_delay", "body_stiffness"), ("camera_delay", "body_stiffness"),
     ("clamp_compliance", "tank_current"), ("actuator_hysteresis", "camera_delay"),
+    ("valve_delay", "tip_mass"),
+    ("side_mismatch", "force_clock_offset"), ("internal_friction", "tow_speed_error"),
+    ("chamber_mismatch", "tail_drag"), ("tail_rest_curvature", "leakage"),
+    ("tip_mass", "side_lag"),
 )  # fmt: skip
-PAIR_SIZE = 5.0
-KINDS = ("null", "coverage", "single", "double", "outside", "table")
-COMPARED_SIZES = (3, PAIR_SIZE)
-"""Sizes of the effects for which the other methods also run."""
+"""Pairs of effects. The first effect of every fifth pair is beyond its prior range."""
+PAIR_SIZE, BEYOND = 5.0, 1.4
+"""Size of the effects in pairs, in detection limits, and size of an effect beyond its prior range,
+as a multiple of the distance from the null to the range's farther end."""
+NULL_TANKS, NOISE_TANKS = 108, 12
+"""Number of tanks without a missing effect, and number of them for each kind of wrong noise."""
+FIRST_NULL, FIRST_NOISE = 3000, 5000
+"""Seed of the first of these tanks. No setting of the loop was chosen with these seeds."""
 TANKS = 3
 """Number of tanks in which the effects are simulated."""
+TRIALS, TRIALS_OUTSIDE = 6, 8
+"""Number of trials of a tank. The loop learns a function only from eight or more trials."""
+COMPARED = 6
+"""The other methods run on this number of tanks of each kind and size."""
+KINDS = ("null", "noise", "single", "double", "outside", "table")
 
 
 class Case(NamedTuple):
-    """A tank with missing effects."""
+    """A tank with or without missing effects."""
 
     kind: str
     name: str
     seed: int
     """Seed of the tank."""
-    effects: Mapping[str, Mapping[str, float]]
+    effects: Mapping[str, Mapping[str, float]] = {}
     size: float = 0.0
-    stranger: str = ""
-    """Name of an effect outside the library, or empty."""
+    noise: str = "declared"
+    compared: bool = False
+    """Whether the other methods run on this tank."""
 
 
-def sizes_of(seed: int, out: Path) -> dict[tuple[str, str], float]:
+@dataclass
+class MemoryCache:
+    """A cache of simulations, because the other methods repeat the loop's simulations."""
+
+    results: dict[bytes, list[np.ndarray]] = field(default_factory=dict)
+
+    def cached(self, name, arrays, make):
+        key = name.encode() + b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)
+        if key not in self.results:
+            self.results[key] = make()
+        return self.results[key]
+
+
+def trials_of(kind: str) -> int:
+    """Returns the number of trials of the tanks of a kind."""
+    return TRIALS_OUTSIDE if kind == "outside" else TRIALS
+
+
+def limits_of(kind: str, seed: int, out: Path) -> dict[str, float]:
     """Returns the detection limits in a tank from a file. Computes and writes a missing file."""
-    path = out / f"limits_{seed}.json"
+    path = out / f"limits_{'outside' if kind == 'outside' else 'library'}_{seed}.json"
     if not path.exists():
-        print(f"detection limits of tank {seed}", flush=True)
-        write_json(path, {f"{e}.{p}": x for (e, p), x in detection_limits(seed).items()})
-    found = json.loads(path.read_text())
-    return {tuple(k.split(".")): np.inf if x is None else x for k, x in found.items()}
+        print(f"computing {path.name}", flush=True)
+        names = [*UNKNOWN_EFFECTS] if kind == "outside" else [*SINGLES]
+        found = detection_limits(sample_tank(seed, trials_of(kind)), names)
+        write_json(path, {f"{e}.{p}": x for (e, p), x in found.items()})
+    return {k: np.inf if x is None else x for k, x in json.loads(path.read_text()).items()}
 
 
-def _sized(effect: str, parameter: str, times: float, seed: int, out: Path) -> dict[str, float]:
-    """Returns an effect's parameter at `times` the detection limit, with a random sign.
+def _seeded(*parts: Any) -> int:
+    """Returns a seed that is specific to `parts`."""
+    return int.from_bytes(hashlib.sha256(" ".join(map(str, parts)).encode()).digest()[:7])
 
-    The result is empty if the prior range does not include the value.
+
+def _sized(effect: str, parameter: str, distance: float, seed: int) -> dict[str, float]:
+    """Returns an effect's parameter at a distance from its null with a random sign, and its shapes.
+
+    The shape parameters are sampled between a third and three times their default, inside their
+    prior range. The result is empty if the prior range does not include the parameter's value.
     """
-    prior = LIBRARY[effect].priors()[parameter]
-    distance = times * sizes_of(seed, out)[effect, parameter]
-    rng = np.random.default_rng([seed, sorted(LIBRARY).index(effect)])
+    prior, shapes = LIBRARY[effect].priors()[parameter], LIBRARY[effect].shapes()
+    rng = np.random.default_rng(_seeded(seed, effect))
     signs = [-1.0, 1.0] if rng.random() < 0.5 else [1.0, -1.0]
+    found = {
+        name: float(np.clip(p.null * 3.0 ** rng.uniform(-1.0, 1.0), p.low, p.high))
+        for name, p in shapes.items()
+    }
     for sign in signs:
         if prior.low <= prior.null + sign * distance <= prior.high:
-            return {parameter: prior.null + sign * distance}
+            return found | {parameter: prior.null + sign * distance}
     return {}
+
+
+def _beyond(effect: str, parameter: str, seed: int) -> dict[str, float]:
+    """Returns an effect's parameter beyond its prior range, inside the physical limits."""
+    prior = LIBRARY[effect].priors()[parameter]
+    end = max(prior.low, prior.high, key=lambda x: abs(x - prior.null))
+    shapes = _sized(effect, parameter, 0.0, seed)
+    return shapes | {parameter: prior.null + BEYOND * (end - prior.null)}
 
 
 def cases(kind: str, out: Path) -> Iterator[Case]:
     """Yields the cases of a kind. Effects with a size outside the prior range are omitted."""
+    if kind == "null":
+        for i in range(NULL_TANKS):
+            yield Case(kind, f"{FIRST_NULL + i}", FIRST_NULL + i, compared=i < COMPARED)
+    if kind == "noise":
+        for k in range(NOISE_TANKS):
+            for i, noise in enumerate(NOISES[1:]):
+                seed = FIRST_NOISE + i * NOISE_TANKS + k
+                yield Case(kind, f"{noise}_{seed}", seed, noise=noise)
     if kind == "single":
-        for times in reversed(SIZES):
-            for i, (effect, parameter) in enumerate(SIZE_PARAMETERS.items()):
-                sized = _sized(effect, parameter, times, i % TANKS, out)
+        for times in SIZES:
+            for i, (effect, parameter) in enumerate(SINGLES.items()):
+                limit = limits_of(kind, i % TANKS, out)[f"{effect}.{parameter}"]
+                sized = _sized(effect, parameter, times * limit, i % TANKS)
                 if sized:
-                    yield Case(kind, f"{effect}_{times}", i % TANKS, {effect: sized}, times)
+                    compared = times == 3 and i < COMPARED
+                    name = f"{effect}_{times}"
+                    yield Case(kind, name, i % TANKS, {effect: sized}, times, compared=compared)
     if kind == "double":
         for i, pair in enumerate(PAIRS):
-            both = {e: _sized(e, SIZE_PARAMETERS[e], PAIR_SIZE, i % TANKS, out) for e in pair}
+            seed, both = i % TANKS, {}
+            for k, effect in enumerate(pair):
+                p = SINGLES[effect]
+                distance = PAIR_SIZE * limits_of(kind, seed, out)[f"{effect}.{p}"]
+                far = i % 5 == 4 and k == 0
+                both[effect] = (
+                    _beyond(effect, p, seed) if far else _sized(effect, p, distance, seed)
+                )
             if all(both.values()):
-                yield Case(kind, "+".join(pair), i % TANKS, both, PAIR_SIZE)
+                yield Case(kind, "+".join(pair), seed, both, PAIR_SIZE, compared=i < COMPARED)
     if kind == "outside":
-        for i, name in enumerate(UNKNOWN_EFFECTS):
-            yield Case(kind, name, i % TANKS, {}, stranger=name)
+        for times in SIZES[:2]:
+            for i, name in enumerate(UNKNOWN_EFFECTS):
+                limit = limits_of(kind, i % TANKS, out)[f"{name}.size"]
+                sized = _sized(name, "size", times * limit, i % TANKS)
+                if sized:
+                    compared = i < COMPARED
+                    yield Case(
+                        kind, f"{name}_{times}", i % TANKS, {name: sized}, times, compared=compared
+                    )
 
 
 def error_over_floor(
@@ -128,61 +218,111 @@ def error_over_floor(
     return float(np.sqrt(np.mean([(error[c] / floor[c]) ** 2 for c in error])))
 
 
-def run_case(case: Case, compared: bool, progress) -> dict[str, Any]:
+def run_case(
+    case: Case, candidates: Sequence[str], compared: bool, progress: Callable[[str], None]
+) -> dict[str, Any]:
     """Returns the results of the loop on a case, and of the other methods if `compared`."""
-    tank = sample_tank(case.seed)
-    own = [UNKNOWN_EFFECTS[case.stranger].effect()] if case.stranger else []
+    tank, memo = sample_tank(case.seed, trials_of(case.kind)), MemoryCache()
     start = time.perf_counter()
-    true = true_readings(tank, case.effects, own)
+    # With the same names in all cases of a kind, the cases share compiled programs.
+    simulated = {"outside": [*UNKNOWN_EFFECTS], "single": [*SINGLES], "double": [*SINGLES]}
+    true = true_readings(tank, case.effects, simulated.get(case.kind, ()))
     if not all(np.isfinite(y).all() for y in true):
         return {"left_out": "the tank cannot be simulated with this effect"}
-    found = noisy_records(tank, true, noise_seed(case))
-    held = choose_held_out(found)
-    made, memo = time.perf_counter() - start, null.MemoryCache()
-    start = time.perf_counter()
-    outcome = close_tank_loop(tank, found, memo, progress)
+    found = noisy_records(tank, true, _seeded(case.seed, case.kind, case.name), case.noise)
+    made, start = time.perf_counter() - start, time.perf_counter()
+    outcome = close_tank_loop(tank, found, candidates, memo, progress)
+    learning = learn_terms(outcome, progress) if case.kind == "outside" else None
     seconds = time.perf_counter() - start
-    record = null.outcome_record(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
-    names = tuple(candidate_effects())
-    problem = problem_of(tank, names, memo)
-    fitted = problem([r for i, r in enumerate(found) if i not in held])
-    rest = problem([found[i] for i in held])
-    floor = noise_floors(rest, [true[i] for i in held])
+    record = outcome_record(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
+    if learning is not None:
+        record["learned"] = learned_record(learning)
+        if record["learned"]["reaches_floor"]:
+            record["verdict"] = "learned"
+    if not outcome.held:
+        return record
+    rest = part_of(outcome.problem, outcome.held)
+    readings = {r.trial.file: y for r, y in zip(found, true, strict=True)}
+    floor = noise_floors(rest, [readings[r.trial.file] for r in rest.records])
     record["held_out_over_floor"] = {
         "refit only": error_over_floor(rest, rest.predict(outcome.search.base.theta), floor),
         "loop": error_over_floor(rest, rest.predict(outcome.chosen.theta), floor),
     }
     record["named_by"] = {}
-    if compared and case.size in COMPARED_SIZES:
+    if compared:
+        used = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
+        fitted = part_of(outcome.problem, used)
         s = other_methods.method_input(fitted, rest, outcome.entries, outcome.search.base)
-        methods = {
-            "sparse": other_methods.sparse,
-            "stepwise": other_methods.stepwise,
-            "gp": other_methods.gp,
-        }
-        for name, method in methods.items():
+        record["any_distortion_p"] = other_methods.any_distortion_p(s)
+        for name, method in other_methods.METHODS.items():
             progress(f"other method: {name}")
             result = method(s)
             record["named_by"][name] = result.effects
             record["held_out_over_floor"][name] = error_over_floor(rest, result.predicted, floor)
-        result = other_methods.oracle(s, list(case.effects))
-        record["held_out_over_floor"]["oracle"] = error_over_floor(rest, result.predicted, floor)
-    if case.effects:
-        record["effects_cover"] = _cover(outcome, case.effects)
+        if case.kind in ("single", "double"):
+            result = other_methods.oracle(s, list(case.effects))
+            error = error_over_floor(rest, result.predicted, floor)
+            record["held_out_over_floor"]["oracle"] = error
+    record["effects_cover"] = _cover(outcome, case.effects)
     return record
 
 
-def noise_seed(case: Case) -> int:
-    """Returns a seed that is specific to a case."""
-    digest = hashlib.sha256(f"{case.seed} {case.kind} {case.name}".encode()).digest()
-    return int.from_bytes(digest[:7])
+def part_of(problem: AbstractProblem, chosen: Sequence[int]) -> TankProblem:
+    """Returns the problem of the trials with the indices `chosen`."""
+    assert isinstance(problem, TankProblem)
+    return problem.part(chosen)
+
+
+def interval_record(interval: tuple[float, float, float], truth: float) -> dict[str, float]:
+    """Returns a fitted parameter's interval and true value."""
+    value, low, high = interval
+    return {"value": value, "low": low, "high": high, "truth": truth}
+
+
+def outcome_record(outcome: LoopOutcome, truth: Mapping[str, float]) -> dict[str, Any]:
+    """Returns the loop's verdict, and the intervals and true values of the base parameters."""
+    cover = {}
+    for i, p in enumerate(outcome.entries):
+        if p.name in truth and not p.effect:
+            cover[p.name] = interval_record(outcome.interval(i), truth[p.name])
+            place = int(np.flatnonzero(outcome.final.free == i)[0])
+            cover[p.name]["noise_error"] = float(np.sqrt(outcome.final.covariance[place, place]))
+    return {
+        "verdict": outcome.verdict,
+        "effects": report.effect_records(outcome),
+        "vetoed": report.veto_records(outcome),
+        "where": report.residual_records(outcome),
+        "noise": {c: x._asdict() for c, x in outcome.noise.items()},
+        "patterns": report.whiteness_record(outcome)["patterns"],
+        "candidates": [row for row in report.candidate_records(outcome) if "explained" in row],
+        "parameters": cover,
+        "held_out": outcome.held_out,
+        "excess": {c: x.all for c, x in outcome.excess.items()},
+        "converged": outcome.final.converged,
+    }
+
+
+def learned_record(learning: Learning) -> dict[str, Any]:
+    """Returns the learned terms, their place, and the fraction of the excess that they remove."""
+    model = learning.model
+    if model is None:
+        return {"reason": learning.reason, "terms": [], "reaches_floor": False}
+    return {
+        "reason": "",
+        "terms": model.terms,
+        "place": learning.places[0].place,
+        "equal_places": learning.equal_places,
+        "reaches_floor": not model.above_floor(learning.dictionary.outcome),
+        "excess_removed": {c: excess_removed(x) for c, x in model.errors.items()},
+        "errors": model.errors,
+    }
 
 
 def _cover(outcome: LoopOutcome, effects: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
     found = {}
     for i, p in enumerate(outcome.entries):
         if p.effect in effects and p.name in effects[p.effect] and i in outcome.final.free:
-            found[p.label] = null.interval_record(outcome.interval(i), effects[p.effect][p.name])
+            found[p.label] = interval_record(outcome.interval(i), effects[p.effect][p.name])
     return found
 
 
@@ -192,36 +332,32 @@ def main() -> None:
     add("what", nargs="+", choices=KINDS, help="kinds of cases to run, or table")
     add("--out", type=Path, required=True, help="folder for the results")
     add("--only", default="", help="run only cases whose name contains this text (default: all)")
-    add("--alone", action="store_true", help="omit the other methods, which halves the time")
+    add("--alone", action="store_true", help="omit the other methods (default: run them)")
+    add("--part", default="1/1", help="K/N: run only every N-th case from the K-th (default: 1/1)")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    enable_float64()
-
-    def work(path: Path, make) -> None:
-        if path.exists() or arguments.only not in path.name:
-            return
-        path.parent.mkdir(exist_ok=True)
-        start = time.perf_counter()
-
-        def progress(text: str) -> None:
-            print(f"{path.stem} {time.perf_counter() - start:5.0f} s  {text}", flush=True)
-
-        write_json(path, make(progress) | {"versions": versions()})
-
+    part, parts = map(int, arguments.part.split("/"))
+    prepare_jax()
+    candidates = candidate_effects()
+    load_effects(Path(__file__).parent / "unknown_effects.py")
     for what in arguments.what:
         if what == "table":
             print(summary_tables(arguments.out))
-        elif what == "null":
-            for seed in range(null.SEED, null.SEED + null.TANKS):
-                work(arguments.out / what / f"{seed}.json", lambda p, s=seed: null.replicates(s, p))
-        elif what == "coverage":
-            for seed in range(null.FIRST_COVERED, null.FIRST_COVERED + null.COVERED):
-                work(arguments.out / what / f"{seed}.json", lambda p, s=seed: null.coverage(s, p))
-        else:
-            for case in cases(what, arguments.out):
-                about = {"case": case._asdict()}
-                path = arguments.out / what / f"{case.name}.json"
-                work(path, lambda p, c=case, a=about: a | run_case(c, not arguments.alone, p))
+            continue
+        for number, case in enumerate(cases(what, arguments.out)):
+            path = arguments.out / what / f"{case.name}.json"
+            if path.exists() or arguments.only not in case.name or number % parts != part - 1:
+                continue
+            path.parent.mkdir(exist_ok=True)
+            start = time.perf_counter()
+
+            def progress(text: str, name=case.name, start=start) -> None:
+                print(f"{name} {time.perf_counter() - start:5.0f} s  {text}", flush=True)
+
+            compared = case.compared and not arguments.alone
+            record = run_case(case, candidates, compared, progress)
+            write_json(path, {"case": case._asdict()} | record | {"versions": versions()})
+            progress(f"{record.get('verdict', 'left out')}")
 
 
 if __name__ == "__main__":

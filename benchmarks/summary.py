@@ -114,8 +114,8 @@ def summary_tables(out: Path) -> str:
             sizes = [len(c) for x in named for c in named_causes(x)]
             skill = skills(named) or [np.nan]
             lines.append(
-                f"| {size:g} | {_share([right(x) for x in of])} "
-                f"| {_share([right(x, most=1) for x in of])} | {np.mean(sizes or [0]):.2f} "
+                f"| {size:g} | {_share([is_right(x) for x in of])} "
+                f"| {_share([is_right(x, most=1) for x in of])} | {np.mean(sizes or [0]):.2f} "
                 f"| {np.median(skill):.3f} | {min(skill):.3f} | {len(skills(named))} |"
             )
         parts.append("\n".join(lines))
@@ -212,8 +212,8 @@ def _method_table(found: Sequence[dict[str, Any]]) -> str:
         errors = [x["held_out_over_floor"][method] for x in found]
         skill = skills(found, method) or [np.nan]
         naming = method in ("sparse", "stepwise", "loop")
-        one = f"{np.mean([right(x, way) for x in singles]):.0%}" if naming and singles else ""
-        two = f"{f1(doubles, way):.2f}" if naming and doubles else ""
+        one = f"{np.mean([is_right(x, method) for x in singles]):.0%}" if naming and singles else ""
+        two = f"{f1(doubles, method):.2f}" if naming and doubles else ""
         lines.append(
             f"| {method} | {one} | {two} | {np.median(errors):.2f} | {max(errors):.2f} "
             f"| {np.median(skill):.2f} | {min(skill):.2f} |"

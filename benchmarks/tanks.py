@@ -6,15 +6,13 @@ trial. The data have the form of an experiment's files.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import equinox as eqx
 import numpy as np
 
-from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out, conclude
+from calibration.discrepancy.close_loop import LoopOutcome, close_loop_on_records
 from calibration.experiment_design.detectability import detectability_matrix
-from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.measurements.synthetic import (
     ROBOT,
@@ -24,20 +22,13 @@ from calibration.measurements.synthetic import (
     random_trials,
     with_sensor_noise,
 )
-from calibration.model.extended import (
-    BASE,
-    base_values,
-    base_vector,
-    candidate_effects,
-    model_parameters,
-)
-from calibration.model.predict import COARSE, Resolution, on_all_cores, plan_trial, predict_readings
+from calibration.model.extended import base_vector, model_parameters
+from calibration.model.predict import Resolution, plan_trial, predict_each
 from slider_jax.channels import CHANNELS
-from slider_jax.effects import Effect
 from slider_jax.experiment.load import Experiment, assemble
 
-COUNT, SECONDS = 6, 0.33
-"""Number of trials per tank, and factor of the durations (0.66 s at 6 Hz to 1.65 s at 0.6 Hz)."""
+SECONDS = 0.33
+"""Factor of the durations of `random_trials`: 0.66 s at 6 Hz to 1.65 s at 0.6 Hz."""
 FITTER_RESOLUTION = Resolution(51, 120, 2.0e-3)
 """Resolution of the fit's residuals."""
 TANK_RESOLUTIONS = [
@@ -53,6 +44,13 @@ TANK_RESOLUTIONS = [
 written simulation program change m_a by 1.2 %. Backward Euler adds damping like a material with a
 damping time of one time step; the robot's damping time is 2 ms. With time steps of 0.15 ms, the
 loop identifies this numerical damping as material damping."""
+WHITE = ("pressure_noise", "force_noise", "tip_noise")
+"""Fields of `Sensors` with the standard deviations of the white noise."""
+NOISES = ("declared", "larger", "smaller", "heavy_tails", "drift")
+"""Kinds of noise: as declared, 25 % more or less than declared, with the t-distribution of three
+degrees of freedom, and with a random walk of the forces."""
+WALK = 0.02
+"""Standard deviation [N] of the random walk of a force after one second: the white noise."""
 
 
 @dataclass(frozen=True)
@@ -65,13 +63,13 @@ class Tank:
     resolution: Resolution
 
 
-def sample_tank(seed: int, folder: Path = Path(".")) -> Tank:
+def sample_tank(seed: int, trials: int = 6, folder: Path = Path(".")) -> Tank:
     """Returns a tank with sampled base parameters and drives. Resolutions are used in turn."""
     truth = random_base_parameters(np.random.default_rng([seed, 1]))
     content = {
         "name": f"tank_{seed}", "robot": ROBOT, "parameters": START,
         "sensors": Sensors().declared(),
-        "trials": random_trials(seed, COUNT, SECONDS),
+        "trials": random_trials(seed, trials, SECONDS),
     }  # fmt: skip
     return Tank(
         assemble(content, f"tank_{seed}", folder),
@@ -87,74 +85,54 @@ def true_model(tank: Tank) -> Experiment:
 
 
 def true_readings(
-    tank: Tank,
-    effects: Mapping[str, Mapping[str, float]],
-    own: Sequence[Effect] = (),
-    names: Sequence[str] | None = None,
+    tank: Tank, effects: Mapping[str, Mapping[str, float]], names: Sequence[str] = ()
 ) -> list[np.ndarray]:
     """Returns the readings (5, samples) of every trial without noise.
 
-    `effects` are the true values of library effects. `own` are effects outside the library, which
-    are added to the base model. Without `own`, the extended model contains the effects `names`
-    (default: all effects of the library).
+    `effects` are the true values of the effects' parameters. The extended model contains the
+    effects `names`: with the same names, tanks with different effects share compiled programs.
     """
-    names = () if own else tuple(candidate_effects() if names is None else names)
     entries = model_parameters(names)
     theta = base_vector(entries, tank.truth)
     for i, p in enumerate(entries):
         if p.effect in effects:
             theta[i] = effects[p.effect].get(p.name, p.prior.null)
     experiment = true_model(tank)
-    plans = [plan_trial(experiment, t, names, tank.resolution) for t in experiment.trials]
-    if own:
-        plans = [
-            replace(
-                p,
-                extended=eqx.tree_at(
-                    lambda x: x.base.effects, p.extended, (*p.extended.base.effects, *own)
-                ),
-            )
-            for p in plans
-        ]
-    return on_all_cores(lambda p: predict_readings(p, theta), plans)
+    plans = [plan_trial(experiment, t, tuple(names), tank.resolution) for t in experiment.trials]
+    return predict_each([(p, theta) for p in plans])
 
 
-def noisy_records(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Record]:
-    """Returns the records of the tank's sensors for `true` readings."""
-    rng, records = np.random.default_rng([seed, 2]), []
+def noisy_records(
+    tank: Tank, true: Sequence[np.ndarray], seed: int, noise: str = "declared"
+) -> list[Record]:
+    """Returns the records of the tank's sensors for `true` readings with one kind of `NOISES`."""
+    rng, records, declared = np.random.default_rng([seed, 2]), [], Sensors()
+    factor = {"larger": 1.25, "smaller": 0.75, "heavy_tails": 0.0}.get(noise, 1.0)
+    sensors = declared._replace(**{name: factor * getattr(declared, name) for name in WHITE})
     for trial, y in zip(tank.experiment.trials, true, strict=True):
-        t = np.arange(y.shape[1]) / tank.experiment.sensors.sample_rate
+        t = np.arange(y.shape[1]) / declared.sample_rate
         named = {"t_s": t} | {CHANNELS[c].column: row for c, row in zip(CHANNELS, y, strict=True)}
-        columns = with_sensor_noise(named, Sensors(), rng)
+        columns = with_sensor_noise(named, sensors, rng)
+        for channel in CHANNELS.values():
+            size, x = getattr(declared, channel.noise), columns[channel.column]
+            if noise == "heavy_tails":
+                x += size / np.sqrt(3.0) * rng.standard_t(3.0, len(t))
+            if noise == "drift" and channel.kind == "force":
+                x += WALK / np.sqrt(declared.sample_rate) * np.cumsum(rng.normal(size=len(t)))
         records.append(Record(trial, t, np.stack([columns[CHANNELS[c].column] for c in CHANNELS])))
     return records
 
 
-def problem_of(tank: Tank, names: Sequence[str], memo=None):
-    """Returns the function with which `conclude` makes a problem from records."""
-
-    def problem(chosen: Sequence[Record]) -> TankProblem:
-        return replace(
-            TankProblem.of(
-                tank.experiment, list(chosen), tuple(names), fine=FITTER_RESOLUTION, coarse=COARSE
-            ),
-            memo=memo,
-        )
-
-    return problem
-
-
 def close_tank_loop(
-    tank: Tank, found: Sequence[Record], memo=None, progress=lambda text: None
+    tank: Tank, found: Sequence[Record], names: Sequence[str], memo=None, progress=lambda text: None
 ) -> LoopOutcome:
-    """Returns the loop's outcome on records of a tank, with all library effects as candidates."""
-    names, base = tuple(candidate_effects()), base_values(tank.experiment)
-    problem = problem_of(tank, names, memo)
-    held = choose_held_out(found)
-    return conclude(tank.experiment, names, found, held, problem, base, tuple(BASE), progress)
+    """Returns the loop's outcome on records of a tank, with the effects `names` as candidates."""
+    return close_loop_on_records(
+        tank.experiment, found, names, progress, FITTER_RESOLUTION, memo=memo
+    )
 
 
-def detection_limits(seed: int) -> dict[tuple[str, str], float]:
-    """Returns every parameter's detection limit (SI) in a tank at its true base parameters."""
-    found = detectability_matrix(true_model(sample_tank(seed)))
-    return {(x.parameter.effect, x.parameter.name): x.size for x in found.detection_limits}
+def detection_limits(tank: Tank, names: Sequence[str]) -> dict[tuple[str, str], float]:
+    """Returns the detection limits (SI) of the effects `names` at the true base parameters."""
+    found = detectability_matrix(true_model(tank), names)
+    return {(x.parameter.effect, x.parameter.name): x.size for x in found.limits}
