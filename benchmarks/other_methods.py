@@ -119,7 +119,9 @@ def any_distortion_p(s: MethodInput) -> float:
     The test relies on the sizes of the noise: with n = 10,000, an error of 1 % of the standard
     deviation shifts the statistic by 1.4 of its standard deviations. The loop's discrepancies are
     measured values plus one standard error, so the p-value tends to be too large. Declared noise
-    that is too small makes the p-value small, as a missing effect does.
+    that is too small makes the p-value small, as a missing effect does. If the loop weighs
+    heavy-tailed noise, the mean square of the weighed residual is below 1, and the p-value is near
+    1.
     """
     A, b = summed(s.blocks)
     square = square_after(s.blocks, least_squares_step(A, b, s.base.free))
@@ -486,7 +488,9 @@ def network(s: MethodInput) -> MethodResult:
     """
 
     def fit(X: np.ndarray, y: np.ndarray, trials: np.ndarray) -> Prediction:
-        model = MLPRegressor((HIDDEN,), early_stopping=True, max_iter=1000, random_state=0)
+        model = MLPRegressor(
+            hidden_layer_sizes=(HIDDEN,), early_stopping=True, max_iter=1000, random_state=0
+        )
         return model.fit(X, y).predict
 
     return _with_residual_model(s, fit)

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibration.model.extended import ExtendedModel, model_parameters
+from calibration.model.extended import BASE, ExtendedModel, model_parameters
 from slider_jax.batch.chunks import available_cores
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
@@ -37,7 +37,7 @@ from slider_jax.experiment.prepare import (
 from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.trial import run_chunks
 
-BLOCK = 250
+BLOCK = 100
 """Time steps or samples per call of a compiled program. A long trial needs several calls."""
 DIRECTIONS = 8
 """A call of a compiled program computes a multiple of this number of tangents."""
@@ -306,7 +306,19 @@ def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray) -> np.ndarra
 
 def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
     """Returns the readings (channels, samples) of a trial. Readings after a failed step are NaN."""
-    return _simulate([(p, theta)])[0]
+    return _simulate([without_null_effects(p, theta)])[0]
+
+
+def without_null_effects(p: TrialPlan, theta: np.ndarray) -> tuple[TrialPlan, np.ndarray]:
+    """Returns the plan and the parameters of the base model if every effect is at its null.
+
+    The readings are the same. The base model is compiled and simulated in a third of the time.
+    """
+    entries = model_parameters(p.extended.effects)
+    acts = [x.prior.null != t and not x.is_shape for x, t in zip(entries, theta, strict=True)]
+    if any(acts[len(BASE) :]):
+        return p, theta
+    return replace(p, extended=replace(p.extended, effects=())), theta[: len(BASE)]
 
 
 def predict_each(pairs: Sequence[tuple[TrialPlan, np.ndarray]]) -> list[np.ndarray]:
@@ -314,6 +326,7 @@ def predict_each(pairs: Sequence[tuple[TrialPlan, np.ndarray]]) -> list[np.ndarr
 
     Trials whose models have the same structure are simulated in batches of `LANES`.
     """
+    pairs = [without_null_effects(p, theta) for p, theta in pairs]
     kinds: dict[Hashable, list[int]] = {}
     for i, (p, _) in enumerate(pairs):
         leaves, kind = jax.tree.flatten((p.extended, p.numerics, p.scheme))
