@@ -1,5 +1,6 @@
 """Summarises the benchmark of the loop in tables."""
 
+import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -9,12 +10,15 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from unknown_effects import UNKNOWN_EFFECTS
 
-from calibration.discrepancy.verdict import BEYOND_PRIOR, INCONCLUSIVE, NOTHING, PARTLY, UNEXPLAINED
+from calibration.discrepancy.verdict import INCONCLUSIVE, NOTHING, PARTLY, UNEXPLAINED
 from slider_jax.effects.library import LIBRARY
 
-METHODS = ("refit only", "sparse", "stepwise", "gp", "loop", "oracle")
 EXPLAINABLE = 1.1
 """A case has a residual to explain if the held-out rms divided by the noise floor is larger."""
+NAMING = ("sparse", "stepwise", "knockoffs")
+"""Other methods that name effects."""
+REMOVED = 0.8
+"""Fraction of the excess rms that a learned function should remove in the held-out trials."""
 
 
 def read_cases(out: Path, kind: str) -> list[dict[str, Any]]:
@@ -74,148 +78,188 @@ def skills(found: Iterable[dict[str, Any]], method: str = "loop") -> list[float]
     ]
 
 
-def location_verdict(case: dict[str, Any]) -> str:
-    """Returns the rating of the loop's verdict on an effect outside the library."""
-    truth = UNKNOWN_EFFECTS[case["case"]["stranger"]]
+def rated_location(case: dict[str, Any]) -> str:
+    """Returns the rating of the loop's verdict on an effect that the library lacks.
+
+    A name without a doubt (a class or a residual above the noise floor) is a wrong name. Otherwise
+    the place is right if a named cause, a learned function, or the channel with the largest
+    residual agrees with the true effect.
+    """
+    truth = UNKNOWN_EFFECTS[next(iter(case["case"]["effects"]))]
     causes = named_causes(case)
     if causes:
-        doubted = all(e["class"] or e["status"] == BEYOND_PRIOR for e in case["effects"])
-        if not doubted:
+        if not all(len(cause) > 1 for cause in causes):
             return "wrong name"
         places = {LIBRARY[n].place() for cause in causes for n in cause}
         return "right place" if places & set(truth.places) else "wrong place"
+    if case["verdict"] == "learned":
+        places = {case["learned"]["place"].split(" (")[0]}
+        return "right place" if places & set(truth.places) else "wrong place"
     if case["verdict"] not in (PARTLY, UNEXPLAINED):
         return case["verdict"]
-    worst = max(case["where"], key=lambda x: x["mean_square_over_noise"])
-    return "right place" if worst["channel"] in truth.channels else "wrong place"
+    worst = max(case["where"], key=lambda x: x["mean_square_over_noise"], default=None)
+    channels = [worst["channel"]] if worst else [x["channel"] for x in case["patterns"]]
+    return "right place" if set(channels) & set(truth.channels) else "wrong place"
+
+
+def removed_excess(case: dict[str, Any]) -> float | None:
+    """Returns the fraction of the excess rms that a learned function removes, in held-out trials.
+
+    The excess is summed over the channels, each divided by its noise floor. None: nothing learned.
+    """
+    errors = case.get("learned", {}).get("errors", {})
+    before, after = (
+        sum(max((x[key] / x["floor"]) ** 2 - 1.0, 0.0) for x in errors.values())
+        for key in ("before", "after")
+    )
+    return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else None
 
 
 def _share(flags: Sequence[bool]) -> str:
     return f"{sum(flags)} of {len(flags)} ({np.mean(flags):.0%})" if flags else "none"
 
 
+def _coverage(found: Sequence[dict[str, Any]], key: str) -> list[bool]:
+    """Returns whether each interval under `key` contains the true value."""
+    return [v["low"] < v["truth"] < v["high"] for x in found for v in x.get(key, {}).values()]
+
+
 def summary_tables(out: Path) -> str:
-    """Returns all tables as Markdown."""
+    """Returns all tables as Markdown, and the digest of the results."""
     parts = []
-    if tanks := read_cases(out, "null"):
-        parts.append(_null_table(tanks))
-    if fits := read_cases(out, "coverage"):
-        parts.append(_coverage_list(fits))
-    singles = read_cases(out, "single")
+    nulls, noisy = read_cases(out, "null"), read_cases(out, "noise")
+    if nulls or noisy:
+        parts.append(_null_table(nulls, noisy))
+    singles, doubles = read_cases(out, "single"), read_cases(out, "double")
     if singles:
-        lines = [
-            "| size divided by detection limit | correct | correct, without equivalent effects "
-            "| mean number of effects in a class | median skill | smallest skill | cases |",
-            "|---|---|---|---|---|---|---|",
-        ]
-        for size in sorted({x["case"]["size"] for x in singles}):
-            of = [x for x in singles if x["case"]["size"] == size]
-            named = [x for x in of if named_causes(x)]
-            sizes = [len(c) for x in named for c in named_causes(x)]
-            skill = skills(named) or [np.nan]
-            lines.append(
-                f"| {size:g} | {_share([is_right(x) for x in of])} "
-                f"| {_share([is_right(x, most=1) for x in of])} | {np.mean(sizes or [0]):.2f} "
-                f"| {np.median(skill):.3f} | {min(skill):.3f} | {len(skills(named))} |"
-            )
-        parts.append("\n".join(lines))
-        wrong = [x for x in singles if not is_right(x)]
-        parts.append("\n".join(["Incorrect:", *(_case_line(x) for x in wrong)]))
-        inside = [
-            v["low"] < v["truth"] < v["high"] for x in singles if is_right(x)
-            for v in x.get("effects_cover", {}).values()
-        ]  # fmt: skip
-        parts.append(f"The interval of the effect's parameter contains the truth: {_share(inside)}")
-    doubles = read_cases(out, "double")
+        parts.append(_single_table(singles))
     if doubles:
-        parts.append(f"Two effects, {len(doubles)} pairs: F1 {f1(doubles):.3f}")
-        parts.append("\n".join(_case_line(x) for x in doubles))
-    unknown_effects = read_cases(out, "outside")
-    if unknown_effects:
-        ratings = [location_verdict(x) for x in unknown_effects]
-        lines = [f"{len(ratings)} effects outside the library:"]
-        lines += [f"- {x}: {ratings.count(x)}" for x in sorted(set(ratings))]
-        pairs = zip(ratings, unknown_effects, strict=True)
-        lines += [f"{rating}: {_case_line(x)}" for rating, x in pairs]
-        parts.append("\n".join(lines))
-    everything = [*singles, *doubles, *unknown_effects]
-    skill = skills(x for x in everything if named_causes(x))
+        empty = sum(not x["effects"] for x in doubles)
+        lines = [f"Two effects, {len(doubles)} pairs: F1 {f1(doubles):.3f}; {empty} empty models"]
+        parts.append("\n".join([*lines, *(_case_line(x) for x in doubles)]))
+    outside = read_cases(out, "outside")
+    if outside:
+        parts.append(_outside_table(outside))
+    skill = skills(x for x in (*singles, *doubles) if named_causes(x))
     if skill:
         parts.append(
             f"Held-out skill in {len(skill)} cases with a named effect: median "
             f"{np.median(skill):.3f}, smallest {min(skill):.3f}"
         )
-    parts.append(_method_table([*singles, *doubles]))
-    return "\n\n".join(parts)
+    parts.append(_method_table([*nulls, *singles, *doubles, *outside]))
+    everything = [*nulls, *noisy, *singles, *doubles, *outside]
+    seconds = [x["seconds"] for x in everything]
+    parts.append(
+        f"{len(everything)} tanks, {np.median(seconds):.0f} s at the median, "
+        f"{max(seconds):.0f} s at most. SHA-256 of all results: {results_digest(out)}"
+    )
+    return "\n\n".join(x for x in parts if x)
 
 
-def _null_table(tanks: Sequence[dict[str, Any]]) -> str:
-    """Returns the number of false alarms and the coverage of the intervals in the replicates."""
-    nulls = [r for x in tanks for r in x["replicates"]]
+def results_digest(out: Path) -> str:
+    """Returns the SHA-256 digest of all result files, in the order of their names."""
+    digest = hashlib.sha256()
+    for path in sorted(out.glob("*/*.json")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _null_table(nulls: Sequence[dict[str, Any]], noisy: Sequence[dict[str, Any]]) -> str:
+    """Returns the number of false alarms, and the coverage of the base parameters' intervals."""
     lines = [
-        f"{len(nulls)} replicates of {len(tanks)} tanks without a missing effect: "
-        f"{sum(r['verdict'] != NOTHING for r in nulls)} have a verdict other than nothing missing, "
-        f"{sum(bool(named_causes(r)) for r in nulls)} name an effect.",
-        "",
-        "| | interval contains the truth | noise interval contains the fit without noise |",
-        "|---|---|---|",
+        "| noise | tanks | a named effect | another verdict than nothing missing |",
+        "|---|---|---|---|",
     ]
-    for p in nulls[0]["parameters"]:
-        inside, noise = [], []
-        for x in tanks:
-            for r in x["replicates"]:
-                v = r["parameters"][p]
-                inside.append(v["low"] < v["truth"] < v["high"])
-                noise.append(abs(v["value"] - x["without_noise"][p]) < 1.96 * v["noise_error"])
-        lines.append(f"| {p} | {_share(inside)} | {_share(noise)} |")
-    compared = [r["named_by"] for r in nulls if "named_by" in r]
-    for method in compared[0] if compared else ():
-        named = _share([bool(x[method]) for x in compared])
-        lines += ["", f"The method {method} names an effect in {named}."]
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for x in (*nulls, *noisy):
+        groups.setdefault(x["case"]["noise"], []).append(x)
+    for noise, found in groups.items():
+        named = _share([bool(named_causes(x)) for x in found])
+        other = _share([x["verdict"] != NOTHING for x in found])
+        lines.append(f"| {noise} | {len(found)} | {named} | {other} |")
+    lines.append("")
+    wrong = [x for x in (*nulls, *noisy) if x["verdict"] != NOTHING]
+    lines += [_case_line(x) for x in wrong]
+    if nulls:
+        lines += ["", "Intervals of the base parameters that contain the truth:"]
+        for name in nulls[0]["parameters"]:
+            own = [{"parameters": {name: x["parameters"][name]}} for x in nulls]
+            lines.append(f"- {name}: {_share(_coverage(own, 'parameters'))}")
+        lines.append(f"- all: {_share(_coverage(nulls, 'parameters'))}")
     return "\n".join(lines)
 
 
-def _coverage_list(fits: Sequence[dict[str, Any]]) -> str:
-    """Returns how many intervals contain the true value. Each fit is to a different tank."""
-    lines, all_of = [f"{len(fits)} calibrated tanks; intervals that contain the truth:", ""], []
-    for p in fits[0]["parameters"]:
-        inside = [v["low"] < v["truth"] < v["high"] for v in (x["parameters"][p] for x in fits)]
-        lines.append(f"- {p}: {_share(inside)}")
-        all_of += inside
-    return "\n".join([*lines, f"- all: {_share(all_of)}"])
+def _single_table(singles: Sequence[dict[str, Any]]) -> str:
+    lines = [
+        "| size divided by detection limit | correct | correct, without equivalent effects "
+        "| true effect in the model | mean number of effects in a class | median skill "
+        "| smallest skill |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for size in sorted({x["case"]["size"] for x in singles}):
+        of = [x for x in singles if x["case"]["size"] == size]
+        sizes = [len(c) for x in of for c in named_causes(x)]
+        skill = skills(x for x in of if named_causes(x)) or [np.nan]
+        kept = [
+            any(matched_effects([{e["name"], *e["class"]}], x["case"]["effects"]) for e in own)
+            for x in of
+            for own in [x["effects"]]
+        ]
+        lines.append(
+            f"| {size:g} | {_share([is_right(x) for x in of])} "
+            f"| {_share([is_right(x, most=1) for x in of])} | {_share(kept)} "
+            f"| {np.mean(sizes or [0]):.2f} | {np.median(skill):.3f} | {min(skill):.3f} |"
+        )
+    inside = _coverage([x for x in singles if is_right(x)], "effects_cover")
+    lines += ["", f"The interval of an effect's parameter contains the truth: {_share(inside)}"]
+    return "\n".join([*lines, "", *(_case_line(x) for x in singles if not is_right(x))])
+
+
+def _outside_table(outside: Sequence[dict[str, Any]]) -> str:
+    ratings = [rated_location(x) for x in outside]
+    lines = [f"{len(ratings)} tanks with effects that the library lacks:"]
+    lines += [f"- {x}: {ratings.count(x)}" for x in sorted(set(ratings))]
+    shares = [removed_excess(x) for x in outside]
+    learned = [x is not None for x in shares]
+    lines.append(f"- a function was learned: {_share(learned)}")
+    enough = [x is not None and x >= REMOVED for x in shares]
+    lines.append(f"- it removes {REMOVED:.0%} of the excess on held-out trials: {_share(enough)}")
+    for rating, share, x in zip(ratings, shares, outside, strict=True):
+        removed = "nothing learned" if share is None else f"{share:.0%} of the excess removed"
+        lines.append(f"{_case_line(x)}: {rating}, {removed}")
+    return "\n".join(lines)
 
 
 def _case_line(x: dict[str, Any]) -> str:
-    case, effects = x["case"], [(e["name"], e["class"]) for e in x["effects"]]
-    truth = dict(case["effects"]) or case["stranger"]
+    case = x["case"]
+    effects = ", ".join("/".join([e["name"], *e["class"]]) for e in x["effects"]) or "no effect"
     return (
-        f"- {case['name']} (tank {case['seed']}): {x['verdict']} {effects}, truth {truth}, "
-        f"held-out rms / noise floor {x['held_out_over_floor']}, {x['seconds']:.0f} s"
+        f"- {case['name']} (tank {case['seed']}): {x['verdict']}, {effects}, {x['seconds']:.0f} s"
     )
 
 
 def _method_table(found: Sequence[dict[str, Any]]) -> str:
-    """Returns the table of all methods on the cases in which all methods ran."""
-    found = [x for x in found if x["named_by"]]
+    """Returns the table of all methods on the tanks in which all methods ran."""
+    found = [x for x in found if x.get("named_by")]
     if not found:
         return ""
-    singles = [x for x in found if x["case"]["kind"] == "single"]
-    doubles = [x for x in found if x["case"]["kind"] == "double"]
+    kinds = {k: [x for x in found if x["case"]["kind"] == k] for k in ("null", "single", "double")}
+    methods = dict.fromkeys(m for x in found for m in x["held_out_over_floor"])
     lines = [
-        f"{len(singles)} single effects and {len(doubles)} pairs:",
+        f"All methods ran on {len(found)} tanks: "
+        + ", ".join(f"{len(x)} {kind}" for kind, x in kinds.items()),
         "",
-        "| method | one effect, correct | two effects, F1 score | median held-out rms / floor "
-        "| largest held-out rms / noise floor | median skill | smallest skill |",
-        "|---|---|---|---|---|---|---|",
+        "| method | names an effect in a null tank | one effect, correct | two effects, F1 score "
+        "| median skill | smallest skill |",
+        "|---|---|---|---|---|---|",
     ]
-    for method in METHODS:
-        errors = [x["held_out_over_floor"][method] for x in found]
+    for method in methods:
         skill = skills(found, method) or [np.nan]
-        naming = method in ("sparse", "stepwise", "loop")
-        one = f"{np.mean([is_right(x, method) for x in singles]):.0%}" if naming and singles else ""
-        two = f"{f1(doubles, method):.2f}" if naming and doubles else ""
+        named = method in ("loop", *NAMING)
+        alarms = _share([bool(named_causes(x, method)) for x in kinds["null"]]) if named else ""
+        one = _share([is_right(x, method) for x in kinds["single"]]) if named else ""
+        two = f"{f1(kinds['double'], method):.2f}" if named and kinds["double"] else ""
         lines.append(
-            f"| {method} | {one} | {two} | {np.median(errors):.2f} | {max(errors):.2f} "
-            f"| {np.median(skill):.2f} | {min(skill):.2f} |"
+            f"| {method} | {alarms} | {one} | {two} | {np.median(skill):.2f} | {min(skill):.2f} |"
         )
     return "\n".join(lines)

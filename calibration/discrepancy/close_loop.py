@@ -14,7 +14,7 @@ from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.discrepancy.verdict import EffectStatus, judge_effects, reach_verdict
 from calibration.inference.cache import Memo
-from calibration.inference.gauss_newton import Fit, fit_gauss_newton
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton, reading_derivatives
 from calibration.inference.goodness import (
     Excess,
     channel_errors,
@@ -30,6 +30,7 @@ from calibration.inference.uncertainty import (
     Instability,
     confidence_interval,
     hausman_check,
+    shift_by_discrepancy,
     unstable_parameters,
     widen_by_correlation,
 )
@@ -336,7 +337,9 @@ def conclude(
 
     final = widen_ranges(result, refit(result.final, result.entries), refit)
     final = fix_undetermined_shapes(result, final, refit)
-    final = hausman_check(all_trials, result.entries, final)
+    along = reading_derivatives(all_trials, result.entries, final.theta, final.free)
+    final = hausman_check(all_trials, result.entries, final, along)
+    final = shift_by_discrepancy(all_trials, final, along)
     final = widen_by_correlation(all_trials, final)
     after = tested_excess(problem, result.final)
     verdict = reach_verdict(result, judge_effects(result, final.theta, after), after)

@@ -73,6 +73,9 @@ class Fit(NamedTuple):
     """Factor (k,) that widens the standard errors of entries with a significant `difference`."""
     correlation: np.ndarray | float = 1.0
     """Factor (k,) that widens the standard errors if the whitened residuals are correlated."""
+    shift: np.ndarray | float = 0.0
+    """Change (k,) of the fitted entries by a discrepancy that repeats in all trials; 0 before
+    `uncertainty.shift_by_discrepancy`."""
 
     @property
     def inflation(self) -> float:

@@ -182,8 +182,13 @@ def discretisation_errors(
             columns = np.stack([np.ones_like(y), y], axis=1)
             rest = other - columns @ np.linalg.lstsq(columns, other, rcond=None)[0]
             found.setdefault(channel, []).append(float(np.std(rest) / np.std(y)))
-    share = 1.0 / (problem.mesh_ratio**ORDER - 1.0)
+    share = richardson_share(problem)
     return {channel: share * float(np.median(x)) for channel, x in found.items()}
+
+
+def richardson_share(problem: AbstractProblem) -> float:
+    """Returns the error of the fine mesh, divided by the difference between the two meshes."""
+    return 1.0 / (problem.mesh_ratio**ORDER - 1.0)
 
 
 def fell(found: Mapping[str, Discrepancy], before: Mapping[str, float]) -> bool:

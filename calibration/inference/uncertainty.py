@@ -1,9 +1,10 @@
 """Confidence intervals of fitted parameters.
 
-The intervals account for noise, for the model-discretisation discrepancy, for correlation that
-remains in the whitened residuals, and for a difference between two estimates of a parameter: with
-and without the mean forces of the trials. Another comparison, of two halves of the trials, finds
-parameters that changed during the experiment.
+The intervals account for noise, for the part of the model-discretisation discrepancy that differs
+between trials and for the part that repeats in all trials, for correlation that remains in the
+whitened residuals, and for a difference between two estimates of a parameter: with and without the
+mean forces of the trials. Another comparison, of two halves of the trials, finds parameters that
+changed during the experiment.
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from scipy.stats import norm
 
 from calibration.inference.gauss_newton import Fit, inverse, reading_derivatives
 from calibration.inference.intervals import correlation_time
+from calibration.inference.measured_discrepancy import discretisation_errors, richardson_share
 from calibration.inference.problem import AbstractProblem, summed
 from calibration.inference.whiteness import FALSE_ALARM_P, whiteness_tests
 from calibration.model.extended import Parameter
@@ -28,6 +30,8 @@ mean square of two rms deviations from fits to simulations without noise. The fi
 deviations, 0.35, 1.2, 0.07 and 0.12 %, are from four tanks of the independent program."""
 EFFECT_DISCREPANCY = 0.02
 """Relative standard deviation of an effect's parameter between two correct implementations."""
+LEAST_ERROR = 1e-6
+"""Channels whose discretisation error is a smaller fraction of the rms do not shift parameters."""
 FORCES = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "force")
 FREED_TARE = 1e3
 """Tare of a force in Hausman's test, divided by the larger of white noise and declared tare."""
@@ -46,18 +50,54 @@ def confidence_interval(
     """Returns the value of the fitted entry `index`, and both ends of its 95 % interval."""
     place = int(np.flatnonzero(fit.free == index)[0])
     value, p = float(fit.theta[index]), entries[index]
-    error = float(np.hypot(fit.errors[place], discretisation_share(p) * value))
+    shift = float(np.broadcast_to(fit.shift, fit.free.shape)[place])
+    error = float(np.hypot(fit.errors[place], max(discretisation_share(p) * abs(value), shift)))
     return value, value - 1.96 * error, value + 1.96 * error
 
 
-def hausman_check(problem: AbstractProblem, entries: Sequence[Parameter], fit: Fit) -> Fit:
+def shift_by_discrepancy(problem: AbstractProblem, fit: Fit, along: list[np.ndarray]) -> Fit:
+    """Returns the fit with `shift`, the change by a discrepancy that repeats in all trials.
+
+    The noise model treats the model-discretisation discrepancy as independent between trials, so
+    its influence decreases with the number of trials. An error of a mesh or of a time step is the
+    same in all trials. The shift is the linear response of the parameters to such an error: the
+    difference between the fine and the coarse mesh, scaled to the discrepancy of each channel. The
+    shifts by all channels add in quadrature. `along` are the derivatives of `reading_derivatives`.
+    """
+    A, _ = summed(fit.blocks)
+    if problem.mesh_ratio <= 1.0 or not np.isfinite(A).all():
+        return fit
+    coarse = [x[0] for x in problem.coarse([fit.theta])]
+    errors = discretisation_errors(problem, fit.predicted, coarse)
+    white = problem.whiteners(fit.predicted)
+    J, root = problem.whitened(along, white), inverse(A)
+    change = problem.whitened(
+        [(y - x)[None] for y, x in zip(fit.predicted, coarse, strict=True)], white
+    )
+    square = np.zeros(len(fit.free))
+    for channel, error in errors.items():
+        if error < LEAST_ERROR:
+            continue
+        response = sum(J[key] @ x[0] for key, x in change.items() if key[1] == channel)
+        scale = problem.discrepancies[channel] / error * richardson_share(problem)
+        square += (scale * root @ response) ** 2
+    return fit._replace(shift=np.sqrt(square)) if np.isfinite(square).all() else fit
+
+
+def hausman_check(
+    problem: AbstractProblem,
+    entries: Sequence[Parameter],
+    fit: Fit,
+    along: list[np.ndarray] | None = None,
+) -> Fit:
     """Returns the fit with `difference` and `widening` from Hausman's test.
 
     The test gives the forces a very large tare, so that their means have no influence, and takes
     one linear step from the fit. The step's variance is the increase of the estimate's variance. A
     step below one standard error of the estimate is ignored. A significant step widens the standard
-    error by Birge's ratio: the step divided by the standard error of the step. Source: Hausman,
-    J. A. (1978), Econometrica 46, 1251-1271; Birge, R. T. (1932), Phys. Rev. 40, 207-227.
+    error by Birge's ratio: the step divided by the standard error of the step. `along` are the
+    derivatives of `reading_derivatives` (default: computed). Source: Hausman, J. A. (1978),
+    Econometrica 46, 1251-1271; Birge, R. T. (1932), Phys. Rev. 40, 207-227.
     """
     if not any(channel in FORCES for _, channel in problem.noise):
         return fit
@@ -68,7 +108,8 @@ def hausman_check(problem: AbstractProblem, entries: Sequence[Parameter], fit: F
         for key, x in problem.noise.items()
     }
     freed = replace(problem, noise=noise)
-    along = reading_derivatives(problem, entries, fit.theta, fit.free)
+    if along is None:
+        along = reading_derivatives(problem, entries, fit.theta, fit.free)
     (A, b), (own_A, own_b) = (_normal(x, fit, along) for x in (freed, problem))
     if not (np.isfinite(A).all() and np.isfinite(own_A).all()):
         return fit

@@ -1,6 +1,6 @@
 """Hausman's test, intervals for correlated residuals, and parameters that change between trials."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pytest
@@ -9,8 +9,10 @@ from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.noise import Noise
 from calibration.inference.problem import AbstractProblem
 from calibration.inference.uncertainty import (
+    EFFECT_DISCREPANCY,
     confidence_interval,
     hausman_check,
+    shift_by_discrepancy,
     unstable_parameters,
     widen_by_correlation,
 )
@@ -48,11 +50,17 @@ class Drag(AbstractProblem):
         return None
 
 
-def fitted(seed: int, varying: float = 1.0, late: float = 1.0, rho: float = 0.0, tare=TARE):
-    """Returns the tested fit to data with a = 1 in the mean and a = `varying` in the variation.
+def fitted(*given, **named):
+    """Returns the tested fit of `fitted_problem`."""
+    return fitted_problem(*given, **named)[0]
 
-    In the second half of the trials, the force is multiplied by `late`. The noise of neighbouring
-    samples has the correlation `rho`.
+
+def fitted_problem(seed: int, varying: float = 1.0, late: float = 1.0, rho: float = 0.0, tare=TARE):
+    """Returns the tested fit, the problem and the fit, without its tests.
+
+    The data have a = 1 in the mean and a = `varying` in the variation. In the second half of the
+    trials, the force is multiplied by `late`. The noise of neighbouring samples has the correlation
+    `rho`.
     """
     rng = np.random.default_rng(seed)
     trial = Trial.model_validate(
@@ -69,7 +77,22 @@ def fitted(seed: int, varying: float = 1.0, late: float = 1.0, rho: float = 0.0,
     noise = {(i, "thrust"): Noise(0.05, tare=tare) for i in range(TRIALS)}
     problem = Drag(records=found, channels=("thrust",), noise=noise)
     fit = fit_gauss_newton(problem, ENTRIES, np.array([1.0]), np.arange(1))
-    return widen_by_correlation(problem, hausman_check(problem, ENTRIES, fit))
+    tested = widen_by_correlation(problem, hausman_check(problem, ENTRIES, fit))
+    return tested, problem, fit
+
+
+@dataclass(frozen=True)
+class MeshedDrag(Drag):
+    """The coarse mesh adds sines of 1 and 2 Hz to the thrust."""
+
+    @property
+    def mesh_ratio(self):
+        return 2.0
+
+    def _coarse(self, thetas):
+        error = force(0.0, 0.1)
+        error[2] += 0.03 * np.sin(4.0 * np.pi * T)
+        return [x + error for x in super()._coarse(thetas)]
 
 
 def correlated(rng, rho):
@@ -85,6 +108,22 @@ def test_consistent_data_do_not_widen_the_interval():
     widened = [float(f.widening[0]) for f in found if f.difference[0] != 0.0]
     assert all((f.widening[0] > 1.0) == (f.difference[0] != 0.0) for f in found)
     assert len(widened) <= 3 and all(x < 3.5 for x in widened)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05])
+def test_a_discrepancy_of_all_trials_shifts_the_parameter_by_its_share(share):
+    """Without the mean forces, `a` is the amplitude of the sine, and the discrepancy changes it."""
+    _, problem, _ = fitted_problem(0, tare=1e3)
+    noise = {key: x._replace(discrepancy=share) for key, x in problem.noise.items()}
+    parts = {x.name: getattr(problem, x.name) for x in fields(problem)} | {"noise": noise}
+    meshed = MeshedDrag(**parts)
+    fit = fit_gauss_newton(meshed, ENTRIES, np.array([1.0]), np.arange(1))
+    shifted = shift_by_discrepancy(meshed, fit, meshed.tangents(fit.theta, np.eye(1)))
+    assert shifted.shift[0] == pytest.approx(share, rel=0.1)
+    value, low, high = confidence_interval(shifted, ENTRIES, 0)
+    least = max(EFFECT_DISCREPANCY * value, shifted.shift[0])
+    assert high - low == pytest.approx(3.92 * np.hypot(fit.errors[0], least))
+    assert shift_by_discrepancy(problem, fit, problem.tangents(fit.theta, np.eye(1))) is fit
 
 
 @pytest.mark.parametrize("varying", [0.6, 1.4])
