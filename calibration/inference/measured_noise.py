@@ -51,7 +51,7 @@ HIGH_BAND, STRIDES = "successive differences", "differences between strides"
 NOT_MEASURED, THINNED = "not measured", "differences of every third reading"
 
 
-class Estimate(NamedTuple):
+class NoiseEstimate(NamedTuple):
     """A white noise that was measured from differences of readings."""
 
     size: float
@@ -148,19 +148,19 @@ def _stride(record: Record, channel: str) -> int:
     return round(1.0 / (f * float(np.median(np.diff(t))))) if f else 0
 
 
-def _pooled(series: Sequence[np.ndarray], order: int, method: str) -> Estimate:
+def _pooled(series: Sequence[np.ndarray], order: int, method: str) -> NoiseEstimate:
     """Returns the rms of `robust_noise_floor` over all trials.
 
     Trials clearly above the median are omitted: they contain a part of the signal.
     """
     long = [x for x in series if len(x) - order >= FEWEST]
     if not long:
-        return Estimate(math.inf, 0.0, method)
+        return NoiseEstimate(math.inf, 0.0, method)
     sizes, counts = np.array([(robust_noise_floor(x, order), len(x)) for x in long]).T
     errors = difference_error(order) / np.sqrt(counts)
     kept = sizes <= (SIGNAL + ERRORS * errors) * np.median(sizes)
     size = float(np.sqrt(np.average(sizes[kept] ** 2, weights=counts[kept])))
-    return Estimate(size, difference_error(order) / math.sqrt(counts[kept].sum()), method)
+    return NoiseEstimate(size, difference_error(order) / math.sqrt(counts[kept].sum()), method)
 
 
 def difference_error(order: int) -> float:
