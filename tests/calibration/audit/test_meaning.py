@@ -34,13 +34,15 @@ def tank(whole, tmp_path):
 
 # Units, signs, columns
 
+ONE_OR_ALL = ["one", pytest.param("all", marks=pytest.mark.slow)]
+"""Times in milliseconds and both forces in millinewton are tested in all trials by default."""
 UNITS = [
     ("p_front", 1e-3, "kPa"), ("p_rear", 1e3, "mPa"), ("p_front", 1 / 6894.757, "psi"),
     ("thrust", 1e3, "mN"), ("recoil", 1e3, "mN"), ("recoil", 1e-3, "kN"), ("tip", 1e3, "mm"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("which", ["one", "all"])
+@pytest.mark.parametrize("which", ONE_OR_ALL)
 @pytest.mark.parametrize(("channel", "factor", "unit"), UNITS)
 def test_wrong_units_are_converted(tank, whole, channel, factor, unit, which):
     numbers = range(8) if which == "all" else [4]
@@ -84,7 +86,7 @@ def test_an_inverted_sign_is_repaired(tank, whole, channel):
 PAIRS = [(0, 1), (2, 3), (0, 2), (1, 3), (1, 4), (3, 4)]
 
 
-@pytest.mark.parametrize("which", ["one", "all"])
+@pytest.mark.parametrize("which", ONE_OR_ALL)
 @pytest.mark.parametrize("pair", PAIRS)
 def test_swapped_columns_are_repaired(tank, whole, pair, which):
     numbers = {"one": [3 + sum(pair) % 4], "all": range(8)}[which]

@@ -172,6 +172,7 @@ def test_one_table_of_tips_does_not_identify_two_stiffnesses(exact):
     assert identifiable_parameters([tail, bent]) == ["EI_tail", "K_Q"]
 
 
+@pytest.mark.slow
 def test_pressures_with_the_wrong_sign_are_refused(exact):
     bench = bench_of(exact, np.random.default_rng(0))
     turned = bench.shapes[2]._replace(tip=-bench.shapes[2].tip)

@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from slider_jax.effects import Mounting
 from slider_jax.effects.check import PLACES, checked_effects
 from slider_jax.effects.library import LIBRARY, load_effects
 from slider_jax.errors import InputError
@@ -197,7 +198,10 @@ def test_an_abstract_base_class_of_two_effects_is_no_effect(tmp_path):
     assert load_effects(path) == ["left", "right"]
 
 
-@pytest.mark.parametrize("place", PLACES)
+# Of the larger places, test_library checks the nulls and the tangents in the default tests.
+@pytest.mark.parametrize(
+    "place", [p if p is Mounting else pytest.param(p, marks=pytest.mark.slow) for p in PLACES]
+)
 def test_the_effects_of_the_library_pass_the_check(place):
     kinds = {x.__name__: x for x in LIBRARY.values() if issubclass(x, place)}
     for kind in kinds.values():

@@ -93,6 +93,7 @@ def test_over_a_steady_stride_the_thrust_is_what_resists():
     assert abs(float(found.turning)) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_not_driven_stays_where_it_is(tmp_path, capsys):
     (tmp_path / "still.toml").write_text(to_toml(coarse(amplitude=0.0)))
     assert main(["swim", str(tmp_path / "still.toml"), "--out", str(tmp_path / "out")]) == 0
