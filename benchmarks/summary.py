@@ -70,7 +70,7 @@ def skills(found: Iterable[dict[str, Any]], method: str = "loop") -> list[float]
 
     Only cases with a residual count.
     """
-    errors = [x["held_out_over_floor"] for x in found]
+    errors = [x["held_out_over_floor"] for x in found if "held_out_over_floor" in x]
     return [
         (e["refit only"] - e[method]) / (e["refit only"] - 1.0)
         for e in errors

@@ -2,10 +2,12 @@
 
 The alternatives of a chosen effect are candidates of the same round with nearly the same gain or
 with parallel tangents. During this round, another effect that is still missing can hide differences
-between these candidates. The alternatives are therefore compared again after the selection, unless
-a residual exceeds the noise floor. Each alternative is substituted for the chosen effect, and all
-parameters are refitted. An alternative is excluded if its fit is worse by at least the naming
-threshold. All other alternatives form the equivalence class.
+between these candidates. The alternatives are therefore compared again after the selection. Each
+alternative is substituted for the chosen effect, and all parameters are refitted. An alternative
+replaces the chosen effect if its fit is better by at least the naming threshold, and if
+cross-validation with the other effects in the model confirms it. An alternative is excluded if its
+fit is worse by at least the naming threshold. All other alternatives form the equivalence class.
+While a residual exceeds the noise floor, an effect is still missing, so no alternative is excluded.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,16 +22,18 @@ from calibration.discrepancy.refits import (
     initial_theta,
 )
 from calibration.discrepancy.rounds import (
+    Agreement,
     Alternative,
     Refit,
     Selection,
     SelectionStep,
+    agreement,
     effect_entries,
 )
-from calibration.discrepancy.scores import tangent_cosine
+from calibration.discrepancy.scores import blocks_at_null, score, tangent_cosine
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.gauss_newton import Fit
-from calibration.inference.goodness import excess
+from calibration.inference.goodness import tested_excess
 from calibration.inference.problem import ChannelBlock, summed
 from slider_jax.effects.library import LIBRARY
 
@@ -72,8 +76,6 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
     settings = refits.settings
     for round_ in found.rounds:
         round_.alternatives = {}
-    if any(x.all > settings.noise_floor for x in excess(refits.problem, found.final).values()):
-        return
     problem, entries, final = refits.problem, refits.entries, found.final
     pairs = [
         (round_, name, start)
@@ -94,8 +96,15 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
                 loss = (fit.square - final.square) / final.inflation
                 fewer = len(final.free) - len(fit.free)
                 round_.alternatives[name] = Alternative(
-                    fit, loss, refits.sizes(fit, final), problem.discrepancies, fewer
+                    fit,
+                    loss,
+                    refits.sizes(fit, final),
+                    problem.discrepancies,
+                    fewer,
+                    _agreement(refits, found, name, fit),
                 )
+    if any(x.above(settings.noise_floor) for x in tested_excess(problem, final).values()):
+        return
     for round_ in found.rounds:
         unjudged = [n for n in round_.equivalent if n not in round_.alternatives]
         round_.equivalent = [
@@ -106,20 +115,31 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
 def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
     """Returns a round and an alternative that fits better than the round's chosen effect, or None.
 
-    The round must have refitted the alternative, and cross-validation must confirm the alternative.
+    The round must have refitted the alternative. If there are several, the result is the best.
     """
-    settings = found.settings
-    for round_ in found.rounds:
-        agreed = {t.name for t in round_.refitted if t.agreement.agreed(settings)}
-        agreed -= set(found.effects)
-        fits = {
-            name: x.fit.square
-            for name, x in round_.alternatives.items()
-            if name in agreed and x.is_better(settings)
-        }
-        if fits:
-            return round_, min(fits, key=lambda name: fits[name])
-    return None
+    fits = {
+        (number, name): x.fit.square
+        for number, round_ in enumerate(found.rounds)
+        for name, x in round_.alternatives.items()
+        if x.is_better(found.settings) and name in {t.name for t in round_.refitted}
+    }
+    if not fits:
+        return None
+    number, name = min(fits, key=lambda key: fits[key])
+    return found.rounds[number], name
+
+
+def _agreement(refits: Refits, found: Selection, name: str, fit: Fit) -> Agreement | None:
+    """Returns the cross-validation of the effect `name` in its `fit`, beside the other effects."""
+    if name in found.effects:
+        return None
+    own = np.isin(fit.free, effect_entries(refits.entries)[name])
+    group, free = np.flatnonzero(own), np.flatnonzero(~own)
+    strengths = [i for i in fit.free[group] if not refits.entries[i].is_shape]
+    null = refits.null(fit.theta, np.array(strengths))
+    blocks = blocks_at_null(fit.blocks, group, (fit.theta - null)[fit.free[group]])
+    x = score(name, group, free, blocks, fit.inflation, 1, refits.settings)
+    return agreement(x.left_out, x.held_gains)
 
 
 def _contenders(round_: SelectionStep, settings: SelectionSettings) -> list[str]:

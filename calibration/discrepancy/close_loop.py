@@ -229,25 +229,29 @@ def robust_noise(
 ) -> dict[tuple[str, str], Noise]:
     """Returns the noise of each trial's file and channel in `tails`, with one value per reading.
 
-    `residuals` are the whitened residuals of the fit whose large errors have a smaller weight.
+    `residuals` are the whitened residuals of a fit. Readings with a large residual get a larger
+    noise, so the next fit gives these readings a smaller weight.
     """
     found = {}
     for (i, channel), r in residuals.items():
         if channel in tails:
             noise = problem.noise[i, channel]
             white = noise.white * np.sqrt(tails[channel].variances(r))
-            found[problem.records[i].trial.file, channel] = noise._replace(white=white)
+            square = tails[channel].mean_square
+            found[problem.records[i].trial.file, channel] = noise._replace(
+                white=white, mean_square=square
+            )
     return found
 
 
 def held_out_growth(rest: AbstractProblem, without: Fit, with_it: Fit) -> Growth:
     """Returns the growth of the error in the held-out trials `rest` by an effect.
 
-    The whitened sum of squares of a trial is S0 for the fit without the effect and S1 for the fit
-    with the effect, both fitted to the other trials. The standard error is for noise alone. Let d
-    be the sum of squared changes of the n whitened readings by the effect. White noise of the
-    variance S0/n then gives S1 - S0 the standard deviation 2 sqrt(d S0/n), and log(S1/S0) the
-    standard deviation 2 sqrt(d/(n S0)).
+    Both fits use the other trials. The whitened sum of squares of a held-out trial is S0 without
+    the effect and S1 with the effect. The growth is log(S1/S0). The standard error is that of white
+    noise with the variance S0/n, where n is the number of readings. Let d be the sum of the squared
+    changes of the whitened readings by the effect. The standard deviation of S1 - S0 is then
+    2 sqrt(d S0/n), and the standard deviation of log(S1/S0) is 2 sqrt(d/(n S0)).
     """
     predicted = [rest.predict(fit.theta) for fit in (without, with_it)]
     white = rest.whiteners(predicted[0])
@@ -279,9 +283,10 @@ def veto_effects(
     while found.effects:
         less = {name: _without(refits, found, name) for name in found.effects}
         growths = {n: held_out_growth(rest, fit, found.final) for n, fit in less.items()}
-        name = max(growths, key=lambda n: growths[n].mean)
-        if not growths[name].vetoes(found.settings):
+        contradicted = [n for n, x in growths.items() if x.vetoes(found.settings)]
+        if not contradicted:
             return
+        name = max(contradicted, key=lambda n: growths[n].mean)
         progress(f"removing {name}: it increases the error in the held-out trials")
         found.vetoed[name] = growths[name]
         found.final = less[name]
@@ -332,8 +337,11 @@ def conclude(
         )
     progress("refitting to all trials")
 
+    # With the same whiteners, the sums of squares of all refits are comparable.
+    white = all_trials.whiteners(all_trials.predict(result.final.theta))
+
     def refit(x: Fit, ranges: Sequence[Parameter]) -> Fit:
-        return fit_gauss_newton(all_trials, ranges, x.theta, x.free, progress)
+        return fit_gauss_newton(all_trials, ranges, x.theta, x.free, progress, white)
 
     final = widen_ranges(result, refit(result.final, result.entries), refit)
     final = fix_undetermined_shapes(result, final, refit)

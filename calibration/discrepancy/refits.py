@@ -106,7 +106,7 @@ class FitStart(NamedTuple):
     free: np.ndarray
     """Indices of the entries of `theta` that are fitted."""
     null: np.ndarray
-    """Parameters that can be simulated; a start that fails is moved towards these."""
+    """Parameters that can be simulated. A start that cannot be simulated is moved towards them."""
     J: Tangents | None = None
     """Tangents of the entries `free` (default: the tangents at the current fit)."""
 
@@ -119,9 +119,10 @@ def shape_starts(
 ) -> list[np.ndarray]:
     """Returns `theta` with several values of the shape parameters `shapes` (indices).
 
-    The first vector has the defaults. In each other vector, one parameter differs from its default:
-    it has the value of `theta`, or its default times or divided by `shape_factor`. All values are
-    inside the prior range, because a fit cannot leave a bound of the range.
+    The first vector contains the defaults. In each other vector, one parameter has another value:
+    its value in `theta`, its default times `shape_factor`, or its default divided by
+    `shape_factor`. All values are inside the prior range, because a fit cannot leave a bound of the
+    range.
     """
     first = theta.copy()
     first[shapes] = [entries[i].prior.null for i in shapes]
@@ -205,7 +206,7 @@ class Refits:
 
     def sizes(self, before: Fit, after: Fit) -> dict[str, float]:
         """Returns each channel's rms change between two fits as a fraction of the channel's rms."""
-        return relative_changes(self.problem.channels, before.predicted, after.predicted)
+        return relative_changes(self.problem, before.predicted, after.predicted)
 
     def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
         """Returns the fit of the parameters `free` (indices) that starts at `theta`."""
@@ -231,12 +232,12 @@ class Refits:
     def raced(
         self, current: Fit, starts: Sequence[FitStart], tangents: Tangents, judge: bool = False
     ) -> list[Fit]:
-        """Returns the best fit from each of `starts`, computed by `estimated`.
+        """Returns the best fit from each of `starts`, over several values of shape parameters.
 
         The tangents at the null of an effect do not depend on the effect's shape parameters. The
-        first fits therefore keep these parameters at each value of `shape_starts`. The best fit is
-        then continued with free shape parameters. The result is this fit, or the fit with the
-        defaults if the free parameters do not gain as much as `least_gain` requires.
+        first fits therefore use the fixed values of `shape_starts`. The best of these fits is then
+        continued with free shape parameters. The result is the continued fit, or the fit with the
+        defaults if the free parameters gain less than `least_gain` requires.
         """
         shapes = [
             [int(i) for i in x.free if self.entries[i].is_shape and i not in current.free]
@@ -285,10 +286,10 @@ class Refits:
         The difference between the readings of the fine and the coarse mesh is taken from the fit
         `current`. `tangents` are the tangents at `current`; Broyden's formula corrects them after
         each step. All fits are simulated in one batch. A start that cannot be simulated is moved
-        halfway to `current`, at most `max_halvings` times; its fit then has a sum of squares of
-        `FAILED`. Unless `judge` is true, a fit ends early, without convergence, if its expected
-        gain is below the fraction `contender_gain_share` of the largest gain, which is `most` or
-        the gain of a fit.
+        halfway to its `null`, at most `max_halvings` times. If it still fails, the sum of squares
+        of the fit is `FAILED`. Unless `judge` is true, a fit without prospects ends early, without
+        convergence: its expected gain is below the fraction `contender_gain_share` of the largest
+        gain. The largest gain is that of all these fits, or `most` if `most` is larger.
         """
         if not starts:
             return []

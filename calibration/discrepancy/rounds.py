@@ -11,6 +11,7 @@ from calibration.discrepancy.scores import Score
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.measured_discrepancy import Discrepancy
+from calibration.inference.problem import AbstractProblem
 from calibration.model.extended import Parameter
 from slider_jax.channels import row_of
 from slider_jax.effects import Prior
@@ -40,6 +41,8 @@ class Agreement(NamedTuple):
 def agreement(left_out: np.ndarray, held_gains: np.ndarray) -> Agreement:
     """Returns the result of cross-validation from log gains and gains (trials,) of a `Score`."""
     n = len(left_out)
+    if not np.any(left_out):  # the candidate changes no trial
+        return Agreement(0.0, 1.0, 1.0, -np.inf)
     spread = float(left_out.std(ddof=1)) / np.sqrt(n) if n > 1 else np.inf
     t = float(left_out.mean()) / max(spread, 1e-300)
     t_chance = float(student.sf(t, n - 1)) if n > 2 else 1.0
@@ -74,6 +77,9 @@ class Alternative(NamedTuple):
     """Model-discretisation discrepancy of each channel in the noise of both fits."""
     fewer: int = 0
     """Number of fitted parameters that this fit has fewer than the final fit."""
+    agreement: "Agreement | None" = None
+    """Cross-validation of the alternative with all other effects in the model. None: the final
+    model contains the alternative already."""
 
     def is_excluded(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
         """Returns whether the chosen effect fits better by at least the naming threshold.
@@ -84,9 +90,13 @@ class Alternative(NamedTuple):
         return settings.worth_naming(self.loss, self.sizes, self.discrepancies, more)
 
     def is_better(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
-        """Returns whether the alternative fits better by at least the naming threshold."""
+        """Returns whether the alternative fits better by at least the naming threshold.
+
+        Cross-validation must confirm the alternative too.
+        """
         more = 1 + max(-self.fewer, 0)
-        return settings.worth_naming(-self.loss, self.sizes, self.discrepancies, more)
+        better = settings.worth_naming(-self.loss, self.sizes, self.discrepancies, more)
+        return better and self.agreement is not None and self.agreement.agreed(settings)
 
 
 class Growth(NamedTuple):
@@ -163,13 +173,19 @@ def scoring_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
 
 
 def relative_changes(
-    channels: Sequence[str], before: Sequence[np.ndarray], after: Sequence[np.ndarray]
+    problem: AbstractProblem, before: Sequence[np.ndarray], after: Sequence[np.ndarray]
 ) -> dict[str, float]:
-    """Returns every channel's rms change over all trials, as a fraction of the channel's rms."""
+    """Returns every channel's rms change over all trials, as a fraction of the channel's rms.
+
+    Only measured readings count: the change of a reading that no sensor measured is no evidence.
+    """
     found = {}
-    for channel in channels:
-        row = row_of(channel)
-        change = np.concatenate([b[row] - a[row] for a, b in zip(before, after, strict=True)])
-        signal = np.concatenate([a[row] for a in before])
+    for channel in dict.fromkeys(name for _, name in problem.noise):
+        row, changes, signals = row_of(channel), [], []
+        for record, a, b in zip(problem.records, before, after, strict=True):
+            there = record.there(channel)
+            changes.append((b[row] - a[row])[there])
+            signals.append(a[row][there])
+        change, signal = np.concatenate(changes), np.concatenate(signals)
         found[channel] = float(np.sqrt(np.mean(change**2) / max(np.mean(signal**2), 1e-300)))
     return found

@@ -29,12 +29,13 @@ class Score(NamedTuple):
     gain: float
     """Reduction of the sum of squares, divided by the residual's mean square."""
     p: float
-    """Probability that noise causes at least this gain, times the number of candidates; max. 1."""
+    """Probability that noise causes at least this gain, times the number of candidates, at most
+    1."""
     step: np.ndarray
     """Change (parameters,) of all parameters in the linear fit, in SI units."""
     left_out: np.ndarray
-    """Cross-validated log gain of each trial that the candidate changes visibly: log(S0/S1), with
-    the held-out trial's sum of squares S0 without the candidate and S1 with the candidate."""
+    """Cross-validated log gain log(S0/S1) of each trial that the candidate changes visibly. S0 and
+    S1 are the held-out trial's sums of squares without and with the candidate."""
     held_gains: np.ndarray
     """Cross-validated gain of each of these trials: S0 - S1, divided by the mean square."""
 
@@ -90,6 +91,22 @@ def score(
         held_gains.append((S0 - S1) / unit)
     p = min(1.0, many * float(chi2.sf(max(gain, 0.0), len(group))))
     return Score(name, float(gain), p, step, np.asarray(left_out), np.asarray(held_gains))
+
+
+def blocks_at_null(
+    blocks: Sequence[ChannelBlock], group: np.ndarray, distance: np.ndarray
+) -> list[ChannelBlock]:
+    """Returns the normal equations with the parameters `group` at their nulls.
+
+    `blocks` are the normal equations of a fit, and `distance` are its values minus the nulls. The
+    tangents are those of the fit.
+    """
+    found = []
+    for x in blocks:
+        along = x.A[:, group] @ distance
+        c = x.c + 2.0 * distance @ x.b[group] + distance @ along[group]
+        found.append(x._replace(b=x.b + along, c=float(c)))
+    return found
 
 
 def tangent_cosine(A: np.ndarray, first: np.ndarray, second: np.ndarray, free: np.ndarray) -> float:

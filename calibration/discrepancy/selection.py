@@ -9,15 +9,16 @@ The discrepancy is measured from the residual, which also contains the effects t
 missing. Each chosen effect can therefore make the measured discrepancy smaller. The model is then
 refitted with the smaller discrepancy in the noise.
 
-A chosen effect is removed again if effects chosen later make it unnecessary. While two effects are
-missing, a wrong effect that resembles both can explain more than either missing effect. Source:
+A chosen effect is removed again if effects that were chosen later make it unnecessary. The reason:
+while two effects are missing, a wrong effect that resembles both can have a larger gain than either
+missing effect. Source:
 Zhang, T. (2011), Adaptive forward-backward greedy algorithm for learning sparse representations,
 IEEE Trans. Inf. Theory 57, 4689-4708.
 
 The shape parameters of a chosen effect are fitted too. If the fit of a chosen effect ends at an
 edge of a prior range, the range becomes wider (`ranges`). At the end of the selection, shape
-parameters that the data do not determine return to their defaults. Alternatives that fit better
-then replace the chosen effects (`alternatives`).
+parameters that the data do not determine return to their defaults. If an alternative fits clearly
+better than a chosen effect, the alternative then replaces this effect (`alternatives`).
 """
 
 from collections.abc import Callable, Sequence
@@ -98,7 +99,7 @@ def select_effects(
 
 
 def _with_measured_discrepancies(refits: Refits, found: Selection) -> Refits:
-    """Measures the discrepancies of the final fit, and refits if one of them fell."""
+    """Measures the discrepancies of the final fit, and refits if one of them decreased."""
     if refits.meter is None:
         return refits
     found.measured = refits.meter(found.final.predicted)
@@ -207,8 +208,8 @@ def _round(
 ) -> tuple[SelectionStep, ScoringTangents]:
     """Returns a round of the selection and the tangents of its scores.
 
-    `last` are the tangents of the round before. If no candidate nears the naming threshold with
-    them, no other tangents are computed.
+    `last` are the tangents of the round before. The candidates are first scored with these
+    tangents. If all gains are far below the naming threshold, no new tangents are computed.
     """
     problem, entries, progress = refits.problem, refits.entries, refits.progress
     settings, scored = refits.settings, scoring_entries(refits.entries)
@@ -223,7 +224,7 @@ def _round(
     for s in _short_list(scores, refits, scored):
         pairs = zip(current.predicted, tangents, strict=True)
         changed = [y + np.tensordot(s.step, x, 1) for y, x in pairs]
-        changes = relative_changes(problem.channels, current.predicted, changed).items()
+        changes = relative_changes(problem, current.predicted, changed).items()
         limits = refits.discrepancies(changed)
         if any(x > settings.naming_share * limits[c] for c, x in changes):
             group = effect_entries(entries)[s.name]
@@ -253,9 +254,11 @@ def _round(
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
-    """Returns the candidates to refit: the best scored by tangents, by secants, and with shapes.
+    """Returns the candidates to refit, best first.
 
-    A candidate with shape parameters is scored at their defaults.
+    There are several kinds of candidates: with a score from tangents or from secants, with or
+    without shape parameters. The result contains the best candidates of each kind. Shape parameters
+    have their defaults in a score.
     """
     entries, settings = refits.entries, refits.settings
     shaped = {p.effect for p in entries if p.is_shape}

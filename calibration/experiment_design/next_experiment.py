@@ -66,10 +66,14 @@ def _none(text: str) -> dict[str, Any]:
 
 
 def _again(outcome: LoopOutcome) -> dict[str, Any]:
-    """Returns the record that proposes to repeat the trial with the largest whitened residual."""
-    records = _fitted(outcome)
-    channel, x = max(outcome.excess.items(), key=lambda item: np.nanmax(item[1].trials))
+    """Returns the record that proposes to repeat the trial with the largest residual or pattern."""
+    records, floor = _fitted(outcome), outcome.search.settings.noise_floor
+    above = {c: x for c, x in outcome.excess.items() if x.above(floor)} or outcome.excess
+    channel, x = max(above.items(), key=lambda item: np.nanmax(item[1].trials))
     worst = int(np.nanargmax(x.trials))
+    if x.all <= floor and x.patterns:
+        files = [r.trial.file for r in records]
+        worst = files.index(max(x.patterns, key=lambda p: p.line).trial)
     trial = records[worst].trial
     again = trial.model_copy(update={"file": unused_file_name(outcome.experiment)})
     text = (
@@ -144,7 +148,8 @@ def _narrowing(
 
     progress(f"searching the trial that narrows the interval of {p.label}")
     best = TrialSearch([f], goal, limits).run(effort, progress)
-    after = float(np.sqrt(final.inflation * -best.value))
+    wider = np.broadcast_to(np.maximum(final.widening, final.correlation), errors.shape)[widest]
+    after = float(wider * np.sqrt(final.inflation * -best.value))
     unit = "" if p.prior.unit == "-" else f" {p.prior.unit}"
     text = (
         f"{trial_text(best.trial)} narrows the widest interval (parameter {p.label}) most: "

@@ -5,7 +5,7 @@ the linearised sum of squares within the bounds. A step that does not lower the 
 shortened. The derivatives (tangents) of the readings with respect to the free parameters take much
 more time than the readings. A successful step therefore keeps the tangents and corrects them with
 Broyden's formula. New tangents are computed after a bad step and at the end of the fit. If few
-entries are free, differences of readings replace the tangents.
+entries are free, finite differences of simulated readings replace the tangents.
 
 Source: Broyden, C. G. (1965), A class of methods for solving nonlinear simultaneous equations,
 Math. Comp. 19, 577-593.
@@ -40,11 +40,11 @@ GAIN_TOLERANCE = 0.02
 """A fit ends if the next step would lower the sum of squares by less than this multiple of the
 residual's mean square. The parameters are then within 1/7 standard error of the optimum."""
 FEW, DIFFERENCE = 3, 1e-4
-"""Derivatives are differences instead of tangents if less than one in `FEW` entries is free. All
-tangents are computed together, so a few of them are dear. A difference is for a change of a
-parameter by the fraction `DIFFERENCE` of its prior range."""
+"""Finite differences replace tangents if at most one in `FEW` entries is free. One call computes
+all tangents together, so a few tangents take nearly as long as all tangents. A finite difference
+changes a parameter by the fraction `DIFFERENCE` of its prior range."""
 FRESH_DISTANCE = 0.3
-"""Derivatives count as new until the parameters have moved by this many standard errors."""
+"""A fit may end without new derivatives if the parameters have moved by fewer standard errors."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Fractions of a step that are tried in this order."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
@@ -92,8 +92,8 @@ class Fit(NamedTuple):
     def errors(self) -> np.ndarray:
         """Returns the standard errors (k,) of the free entries.
 
-        They are multiplied by the larger of `widening` and `correlation`, because both factors
-        measure errors that are larger than those of white noise.
+        The errors are multiplied by the larger of `widening` and `correlation`. Both factors allow
+        for errors that white noise does not explain.
         """
         return np.sqrt(np.diag(self.covariance)) * np.maximum(self.widening, self.correlation)
 
@@ -216,8 +216,8 @@ def reading_derivatives(
 ) -> list[np.ndarray]:
     """Returns each trial's derivatives (k, channels, samples) of the readings by `free` entries.
 
-    They are differences if few entries are free and if all differences are finite. Otherwise they
-    are tangents.
+    The derivatives are finite differences if few entries are free and if all these differences are
+    finite numbers. Otherwise, the derivatives are tangents.
     """
     unit = np.eye(len(theta))[free]
     if takes_differences(theta, free):
@@ -230,12 +230,12 @@ def reading_derivatives(
 
 
 def takes_differences(theta: np.ndarray, free: np.ndarray) -> bool:
-    """Returns whether differences take less time than tangents along the `free` entries."""
+    """Returns whether finite differences take less time than tangents along the `free` entries."""
     return len(theta) >= FEW * len(free)
 
 
 def difference_step(p: Parameter, value: float) -> float:
-    """Returns the change of a parameter for a difference, away from the nearer end of the range."""
+    """Returns the change of a parameter for a finite difference; the change stays in the range."""
     step = DIFFERENCE * (p.prior.high - p.prior.low)
     return step if value + step < p.prior.high else -step
 

@@ -45,7 +45,11 @@ def excess(
     residuals = whitened_residuals(problem, fit) if residuals is None else residuals
     found = {}
     for channel in problem.channels:
-        each = {i: r for (i, name), r in residuals.items() if name == channel}
+        each = {
+            i: r / np.sqrt(problem.noise[i, channel].mean_square)
+            for (i, name), r in residuals.items()
+            if name == channel
+        }
         if each:
             squares = np.full(len(problem.records), np.nan)
             for i, r in each.items():

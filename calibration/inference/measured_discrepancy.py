@@ -1,21 +1,21 @@
 """Measures the model-discretisation discrepancy of each channel from a fit.
 
-The discrepancy has two parts. The model's own discretisation error is extrapolated from the
-readings of two meshes (Richardson, L. F. (1911), Phil. Trans. R. Soc. A 210, 307-357). It is the
-lower limit of the discrepancy. The errors of the data that repeat in each stride are measured by
-the maximum likelihood of the residual.
+The discrepancy has two parts. The first part is the model's own discretisation error, which is
+extrapolated from the readings of two meshes (Richardson, L. F. (1911), Phil. Trans. R. Soc. A 210,
+307-357). This error is the lower limit of the discrepancy. The second part is the error of the data
+that repeats in each stride. Its size maximises the likelihood of the residual.
 
-The error of a trial with the rms signal S is s S times a linear combination of curves B. The
-coefficients are normal and independent, and the curves have the correlation of
-`noise.discrepancy_correlation` between phases of the stride. With the whitened curves W B, in which
-W whitens all other noise, and the eigenvalues g and eigenvectors of S^2 (W B) (W B)^T, the whitened
-residual has the independent components z along the eigenvectors:
+The repeating error of a trial is s S times a linear combination of the curves B, where S is the rms
+of the predicted readings. The coefficients are normal and independent. The curves have the
+correlation of `noise.discrepancy_correlation` between phases of the stride. Let W whiten all other
+noise. Let g be the eigenvalues of S^2 (W B) (W B)^T. Along the eigenvectors, the whitened residual
+has the independent components z:
 
     variance of z_k = 1 + s^2 g_k,    D(s) = sum of log(1 + s^2 g_k) + z_k^2 / (1 + s^2 g_k)
 
-s minimises the deviance D, which is summed over the trials of the channel. The loop uses the
-largest s whose deviance exceeds the minimum by at most `DEVIANCE`. Noise alone thus never gives a
-discrepancy that these data could not have shown.
+The deviance D is summed over the trials of the channel, and the measured s minimises D. The loop
+uses the largest s whose deviance exceeds the minimum by at most `DEVIANCE`. The noise model then
+never assumes a smaller discrepancy than these data can prove.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,6 @@ from scipy.linalg import eigh
 from calibration.inference.noise import (
     DISCREPANCY_STRIDES,
     DISCREPANCY_TIME,
-    WHOLE,
     Whitener,
     discrepancy_correlation,
 )
@@ -41,18 +40,20 @@ PHASE_STEP = 0.5 * DISCREPANCY_TIME
 """Width of the steps of the curves B [s]."""
 LONGEST_STRIDE = 2.56
 """Duration [s] that is examined in a trial whose drive has no frequency or a longer period."""
+MOST_READINGS = 2600
+"""Largest number of readings of a trial that is examined."""
 DEVIANCE = 1.0
 """Increase of the deviance at one standard error."""
 GRID = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 241)])
 """Values of s that are compared, divided by the constant of the channel; steps of 3 %."""
 LEAST_MODE = 1e-2
-"""Components are omitted if the largest possible discrepancy changes their variance by less."""
+"""A component is omitted if the largest possible discrepancy increases its variance by less."""
 CONSTANT = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "pressure")
 """Channels whose discrepancy is not measured. Both meshes have the same pressures, so there is no
-lower limit. Errors of the pressures may also repeat after several strides only: with time steps of
-0.2 ms, the period is three strides at 6 Hz."""
+lower limit. Errors of the pressures may also have a period of several strides. With time steps of
+0.2 ms at 6 Hz, for example, the period is three strides."""
 LEAST_FALL = 0.2
-"""New discrepancies replace those in the noise if one of them is smaller by this fraction."""
+"""The discrepancies in the noise are replaced if a new one is smaller by this fraction."""
 
 
 class Discrepancy(NamedTuple):
@@ -62,7 +63,7 @@ class Discrepancy(NamedTuple):
     lower_limit: float
     """Discretisation error of the model, extrapolated from two meshes."""
     measured: float | None
-    """Error of the data that repeats in each stride. None: the error is not measured."""
+    """Size of the error of the data that repeats in each stride. None: it is not measured."""
     used: float
     """Declared value, or else the measured value plus one standard error, within its limits."""
 
@@ -133,7 +134,7 @@ def _series_error(
     period = 1.0 / frequency if frequency and repeats else LONGEST_STRIDE
     late = t - t[0]
     here = late < period * (DISCREPANCY_STRIDES if repeats else 1.0)
-    here &= np.arange(len(t)) < WHOLE
+    here &= np.arange(len(t)) < MOST_READINGS
     noise = noise._replace(discrepancy=0.0, white=np.broadcast_to(noise.white, t.shape)[here])
     whiten = Whitener(
         t[here], noise, model[here], frequency, None if swings is None else swings[:, here]
@@ -171,8 +172,8 @@ def discretisation_errors(
     """Returns the error of the fine mesh in each channel, as a fraction of the channel's rms.
 
     Richardson's extrapolation gives the error as (fine - coarse) / (ratio^p - 1) with the order p.
-    Tare and gain absorb a constant and a multiple of the readings. The result is the median over
-    the trials, so that one trial does not matter.
+    A constant and a multiple of the readings are removed first, because tare and gain absorb both.
+    The result is the median over the trials, so that a single outlying trial has no influence.
     """
     found: dict[str, list[float]] = {}
     for i, channel in problem.noise:

@@ -1,8 +1,8 @@
 """Measures the white noise of each channel from the readings, without a model of the robot.
 
 Differences of successive readings cancel a smooth signal. Differences of readings one stride apart
-also cancel a signal that repeats in each stride. A clearly smaller estimate is preferred, because
-the remaining signal can only increase an estimate.
+also cancel a signal that repeats in each stride. If a signal remains in the differences, it
+increases the estimate. An estimate that is clearly smaller than the others is therefore used.
 """
 
 import math
@@ -26,17 +26,17 @@ ERRORS = 3.0
 """Two noises differ only if their difference also exceeds this many standard errors. With 70
 readings in a trial, an estimate has a standard error of 14 %."""
 ORDERS = (4, 6)
-"""Orders of the differences. The fourth order has less scatter. The sixth order suppresses more of
-the signal of a camera with 100 frames per second."""
+"""Orders of the differences. An estimate of the fourth order has less scatter than an estimate of
+the sixth order. The sixth order cancels more of the signal of a camera with 100 frames/s."""
 SMALLER = 0.9
-"""Another estimate replaces that of the fourth order if their ratio is below this value. The
-smallest of several estimates of the same noise would be too small."""
+"""Another estimate replaces the estimate of the fourth order if their ratio is below this value.
+Without this margin, the smallest of several estimates of the same noise would be too small."""
 SIGNAL = 1.2
-"""Largest estimate of a trial that is used, divided by the median over the trials, plus `ERRORS`
-standard errors."""
+"""A trial is omitted if its estimate exceeds the median over the trials by more than this factor.
+The factor is increased by `ERRORS` standard errors."""
 CLIP = 3.0
-"""Differences beyond this many standard deviations are left out: they contain a switch of the drive
-or an outlier."""
+"""Differences larger than this many standard deviations are omitted, because they contain a switch
+of the drive or an outlier."""
 CLIPPED = 1.0 - 2.0 * CLIP * norm.pdf(CLIP) / (norm.cdf(CLIP) - norm.cdf(-CLIP))
 """Variance of a normal variable of unit variance within `CLIP` standard deviations."""
 THINNING = 3
@@ -117,7 +117,8 @@ def _channel_noise(sensors: SensorsTable, channel: str, records: list[Record]) -
     for x in (*others, strides._replace(size=strides.size / math.sqrt(2.0))):
         if x.is_below(SMALLER, best.size):
             best = x
-    if not np.isfinite(best.size):
+    # If most differences are zero, they measure the quantisation instead of the noise.
+    if not 0.0 < best.size < np.inf:
         return ChannelNoise(declared, None, expected, NOT_MEASURED)
     if declared is None:
         return ChannelNoise(None, best.size, expected, best.method)
@@ -136,9 +137,10 @@ def _channel_noise(sensors: SensorsTable, channel: str, records: list[Record]) -
 def _least_noise(sensors: SensorsTable, channel: str, series: list[np.ndarray]) -> float:
     """Returns the smallest noise of a channel that the loop uses."""
     size = float(np.median([np.std(x) for x in series]))
-    limits = [LEAST_SHARE * signal_shares(sensors, channel)[1] * size]
-    if CHANNELS[channel].kind == "pressure":
-        limits.append(float(np.median([quantisation_step(x) for x in series])) / math.sqrt(12.0))
+    limits = [
+        LEAST_SHARE * signal_shares(sensors, channel)[1] * size,
+        float(np.median([quantisation_step(x) for x in series])) / math.sqrt(12.0),
+    ]
     return max(limits)
 
 
@@ -151,7 +153,8 @@ def _stride(record: Record, channel: str) -> int:
 def _pooled(series: Sequence[np.ndarray], order: int, method: str) -> NoiseEstimate:
     """Returns the rms of `robust_noise_floor` over all trials.
 
-    Trials clearly above the median are omitted: they contain a part of the signal.
+    Trials with an estimate clearly above the median are omitted, because their differences contain
+    a part of the signal.
     """
     long = [x for x in series if len(x) - order >= FEWEST]
     if not long:
@@ -177,9 +180,9 @@ def difference_error(order: int) -> float:
 def robust_noise_floor(values: np.ndarray, order: int) -> float:
     """Returns the standard deviation of the white noise in `values` (n,), without outliers.
 
-    The estimate starts at the median absolute difference of the given order. It then repeats the
-    root mean square of all differences within `CLIP` standard deviations. Unlike the median, the
-    root mean square does not jump by whole quantisation steps.
+    The first estimate is the median absolute difference of the given order. Each further estimate
+    is the root mean square of all differences within `CLIP` times the last estimate. Unlike the
+    median, the root mean square does not jump by whole quantisation steps.
     """
     d = np.abs(np.diff(values, order)) / math.sqrt(math.comb(2 * order, order))
     sigma = float(np.median(d)) / norm.ppf(0.75)

@@ -14,8 +14,8 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import norm, t as student
 
 MAX_FREEDOM = 10.0
-"""Noise with more degrees of freedom is treated as normal. Least squares then loses at most 6 % of
-the information."""
+"""Noise with more degrees of freedom is treated as normal. A least-squares fit to such noise loses
+at most 6 % of the information."""
 MIN_RATIO = 20.0
 """Smallest doubled log-likelihood ratio of Student's t against the normal distribution. The largest
 ratio of 300 series of normal noise was 8."""
@@ -30,12 +30,17 @@ class Tails(NamedTuple):
     freedom: float
     scale: float
 
-    def variances(self, white: np.ndarray) -> np.ndarray:
-        """Returns the variances (n,) with which a least-squares fit weighs the residuals `white`.
+    @property
+    def mean_square(self) -> float:
+        """Returns the expected mean square of noise that is whitened by `variances`."""
+        return (self.freedom + 1.0) / (self.freedom + 3.0)
 
-        They are relative to the variances that whitened the residuals. The Fisher information of
-        Student's t is (nu + 1)/(nu + 3) times the mean weight. The variances contain this factor,
-        so that the fit's covariance is right.
+    def variances(self, white: np.ndarray) -> np.ndarray:
+        """Returns the variances (n,) with which a least-squares fit weights the residuals `white`.
+
+        Each variance is a multiple of the variance that whitened the residual. The Fisher
+        information of Student's t is (nu + 1)/(nu + 3) times the mean weight. The variances contain
+        this factor, so that the covariance of the fit is correct.
         """
         nu, z = self.freedom, white / self.scale
         return self.scale**2 * (nu + 3.0) / (nu + 1.0) * (nu + z**2) / (nu + 1.0)
@@ -66,8 +71,9 @@ def student_tails(x: np.ndarray) -> tuple[Tails, float]:
 def heavy_tails(residuals: Mapping[tuple[int, str], np.ndarray]) -> dict[str, Tails]:
     """Returns the tails of the channels with heavy-tailed noise; `residuals` are whitened.
 
-    Two series must have heavy tails: the residual, and its deviation from the mean of both
-    neighbours. The deviation contains little of a smooth residual that a missing effect causes.
+    Two series must have heavy tails: the residual, and the deviation of each residual from the mean
+    of its two neighbours. A missing effect causes a smooth residual, which hardly changes this
+    deviation.
     """
     found = {}
     for channel in dict.fromkeys(name for _, name in residuals):

@@ -1,10 +1,14 @@
 """Confidence intervals of fitted parameters.
 
-The intervals account for noise, for the part of the model-discretisation discrepancy that differs
-between trials and for the part that repeats in all trials, for correlation that remains in the
-whitened residuals, and for a difference between two estimates of a parameter: with and without the
-mean forces of the trials. Another comparison, of two halves of the trials, finds parameters that
-changed during the experiment.
+The intervals account for:
+
+- noise,
+- the model-discretisation discrepancy, both the part that differs between trials and the part that
+  repeats in all trials,
+- correlation that remains in the whitened residuals,
+- a difference between two estimates of a parameter, with and without the mean forces of the trials.
+
+The comparison of two halves of the trials finds parameters that changed during the experiment.
 """
 
 from collections.abc import Sequence
@@ -24,14 +28,15 @@ from slider_jax.channels import BUILT_IN, CHANNELS
 
 BASE_DISCREPANCY = {"C_d": 0.004, "m_a": 0.010, "k": 0.0005, "K_Q": 0.0023}
 """Relative standard deviation of fitted base parameters between two correct implementations of the
-model. The part that differs between trials is in the noise model instead. Each value is the root
-mean square of two rms deviations from fits to simulations without noise. The first deviations, 0.4,
-0.8, 0.02 and 0.3 %, are from three tanks, simulated with seven meshes and time steps. The second
+model. The noise model contains the part that differs between trials. Each value is the root mean
+square of two rms deviations from fits to simulations without noise. The first deviations, 0.4, 0.8,
+0.02 and 0.3 %, are from three tanks, each simulated with seven meshes and time steps. The second
 deviations, 0.35, 1.2, 0.07 and 0.12 %, are from four tanks of the independent program."""
 EFFECT_DISCREPANCY = 0.02
 """Relative standard deviation of an effect's parameter between two correct implementations."""
 LEAST_ERROR = 1e-6
-"""Channels whose discretisation error is a smaller fraction of the rms do not shift parameters."""
+"""A channel does not shift parameters if its discretisation error is a smaller fraction of the
+rms."""
 FORCES = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "force")
 FREED_TARE = 1e3
 """Tare of a force in Hausman's test, divided by the larger of white noise and declared tare."""
@@ -92,12 +97,13 @@ def hausman_check(
 ) -> Fit:
     """Returns the fit with `difference` and `widening` from Hausman's test.
 
-    The test gives the forces a very large tare, so that their means have no influence, and takes
-    one linear step from the fit. The step's variance is the increase of the estimate's variance. A
-    step below one standard error of the estimate is ignored. A significant step widens the standard
-    error by Birge's ratio: the step divided by the standard error of the step. `along` are the
-    derivatives of `reading_derivatives` (default: computed). Source: Hausman, J. A. (1978),
-    Econometrica 46, 1251-1271; Birge, R. T. (1932), Phys. Rev. 40, 207-227.
+    The test gives the forces a very large tare, so that the mean forces have no influence. One
+    linear step from the fit then gives the second estimate. The variance of the step is the
+    variance of the second estimate minus the variance of the first. A step below one standard error
+    of the first estimate is ignored. A significant step widens the standard error by Birge's ratio:
+    the step divided by the standard error of the step. `along` are the derivatives of
+    `reading_derivatives` (default: computed). Source: Hausman, J. A. (1978), Econometrica 46,
+    1251-1271; Birge, R. T. (1932), Phys. Rev. 40, 207-227.
     """
     if not any(channel in FORCES for _, channel in problem.noise):
         return fit
@@ -142,9 +148,9 @@ def value_by_variation(fit: Fit, index: int) -> float | None:
 def widen_by_correlation(problem: AbstractProblem, fit: Fit) -> Fit:
     """Returns the fit with `correlation`, the factor for correlated whitened residuals.
 
-    If Ljung and Box's test finds a correlation in a series, its effective number of samples is
-    smaller than its number of samples by the factor tau, `correlation_time`. The information A of
-    this series then has a score with the variance tau A. The covariance of all parameters is the
+    If the test of Ljung and Box finds a correlation in a series, the effective number of samples of
+    this series is smaller by the factor tau, `correlation_time`. If A is the information of the
+    series, the variance of its score is then tau A. The covariance of all parameters is the
     sandwich estimate inverse(A) (sum of tau A) inverse(A).
     """
     residuals = problem.residuals(fit.predicted, problem.whiteners(fit.predicted))
@@ -221,7 +227,8 @@ def unstable_parameters(fit: Fit, entries: Sequence[Parameter]) -> list[Instabil
 def determined(p: Parameter, low: float, high: float) -> bool:
     """Returns whether the interval `low` to `high` is narrower than half the prior range.
 
-    Logarithms are compared for a positive shape parameter, because its range covers magnitudes.
+    For a positive shape parameter, logarithms are compared, because its range contains values of
+    different orders of magnitude.
     """
     if p.is_shape and p.prior.low > 0.0:
         return low > 0.0 and (high / low) ** 2 < p.prior.high / p.prior.low

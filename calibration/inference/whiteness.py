@@ -1,8 +1,8 @@
 """Tests whether the whitened residual of a trial and channel is white noise.
 
-Two tests complement the mean square: the test of Ljung and Box for any correlation of neighbouring
-readings, and Fisher's test for one sine. A series fails a test only if the deviation is significant
-and also large enough to matter, because thousands of readings make any deviation significant.
+There are two tests: the test of Ljung and Box for a correlation of neighbouring readings, and
+Fisher's test for a single sine. With thousands of readings, even a negligible deviation is
+significant. A series therefore fails a test only if the deviation is significant and also large.
 
 Source: Ljung, G. M. and Box, G. E. P. (1978), Biometrika 65, 297-303; Fisher, R. A. (1929), Proc.
 R. Soc. A 125, 54-59.
@@ -18,12 +18,14 @@ from calibration.measurements.records import Record
 from slider_jax.channels import row_of
 
 SPREAD = 4.0
-"""Increase of the variance of Ljung and Box's statistic in short series. Of 200,000 simulated
-series of 80 readings, the chi-squared distribution gave p-values below 1e-4 22 times too often."""
+"""Increase of the variance of Ljung and Box's statistic in short series. The statistic was computed
+for 200,000 simulated series of 80 readings of white noise. With the chi-squared distribution,
+p-values below 1e-4 were 22 times too frequent."""
 FALSE_ALARM_P = 0.01
 """Probability that at least one of all series of white noise fails a test (Bonferroni)."""
 MAX_LAGS, LAG_SHARE = 20, 5
-"""The test of Ljung and Box uses this many lags, or the number of readings over `LAG_SHARE`."""
+"""The number of lags in the test of Ljung and Box is the smaller of `MAX_LAGS` and the number of
+readings divided by `LAG_SHARE`."""
 MIN_CORRELATION = 0.3
 """Smallest sum of squared autocorrelations that counts. The discrepancy model is not exact: in the
 null data sets of the independent program, the sum reaches 0.22."""
@@ -31,12 +33,12 @@ MIN_LINE = 0.1
 """Smallest share of one sine in the sum of squares that counts. In the null data sets, significant
 shares reach 0.08. A sine with this share has 0.47 times the amplitude of the white noise."""
 TRIAL_SHARE = 1.5
-"""Discrepancy of a single trial, divided by that of the channel. The discrepancies of the pressures
-in twelve trials were up to 0.3 %, and the constant is 0.2 %."""
+"""Largest discrepancy of a single trial, divided by the discrepancy of the channel. The constant of
+the pressures is 0.2 %, and the discrepancies in single trials were up to 0.3 %."""
 FEWEST = 40
 """Smallest number of readings that is tested."""
 PADDING = 16
-"""Number of frequencies per resolved frequency at which a sine is located."""
+"""A sine is located on a grid with this many frequencies per Fourier interval."""
 
 
 class SeriesTest(NamedTuple):
@@ -49,7 +51,7 @@ class SeriesTest(NamedTuple):
     """Name of the trial's file."""
     channel: str
     correlation: float
-    """Sum of the squared autocorrelations in excess of the sum that white noise has."""
+    """Sum of the squared autocorrelations, minus the sum expected for white noise."""
     correlation_p: float
     line: float
     """Largest share of one frequency in the sum of squares."""
@@ -60,7 +62,7 @@ class SeriesTest(NamedTuple):
     """Amplitude of this sine in the measured minus predicted readings, in the channel's unit."""
     least_amplitude: float = 0.0
     """Amplitude of a sine whose rms is the model-discretisation discrepancy of a single trial. A
-    smaller sine does not count: the discrepancy allows for it."""
+    series does not fail because of a smaller sine, which can be part of the discrepancy."""
 
     @property
     def correlated(self) -> bool:

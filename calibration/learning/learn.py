@@ -1,7 +1,7 @@
 """Learns the function that is missing in a model if no effect of the library explains the residual.
 
-One half of the trials selects groups of terms from the dictionary (`pursuit`), the other half
-estimates their coefficients. The held-out trials test the result.
+One half of the trials selects terms from the dictionary (`pursuit`). The other half estimates the
+coefficients of the selected terms. The held-out trials test the result.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Dictionary:
-    """The problem of an outcome with the terms of the dictionary added to the found effects."""
+    """The fit problem of an outcome, extended by all terms of the dictionary."""
 
     outcome: LoopOutcome
     problem: TankProblem
@@ -91,7 +91,7 @@ class Dictionary:
     ) -> list[PlaceGain]:
         """Returns the result at each place from the trials `chosen`, a part of the trials `used`.
 
-        The outcome's fit to the trials `used` already contains their readings.
+        The predicted readings are those of the outcome's fit to the trials `used`.
         """
         problem, fit = self.problem.part(chosen), self.outcome.chosen
         predicted = [fit.predicted[list(used).index(i)] for i in chosen]
@@ -111,6 +111,9 @@ def _set_frequencies(outcome: LoopOutcome, entries: Sequence[Parameter], theta: 
     for x in residual_records(outcome):
         channel = x["channel"]
         sensor = "pressure" if CHANNELS[channel].kind == "pressure" else channel
+        lines = [p for p in outcome.excess[channel].patterns if p.has_line]
+        if lines:
+            found[sensor] = min(lines, key=lambda p: p.line_p).frequency_Hz
         found.setdefault(sensor, x["in_worst_trial"]["peak_Hz"])
     for i, p in enumerate(entries):
         if p.is_shape and p.effect in DICTIONARY:
@@ -120,21 +123,21 @@ def _set_frequencies(outcome: LoopOutcome, entries: Sequence[Parameter], theta: 
 
 @dataclass(frozen=True)
 class LearnedModel:
-    """A model with a learned function, estimated on the trials that did not select the terms."""
+    """A model with a learned function, fitted to the trials that did not select the terms."""
 
     terms: list[str]
     fit: Fit
     problem: TankProblem
-    """The trials of the estimation."""
+    """The fit problem of the estimation trials."""
     stability: dict[str, Stability]
     errors: dict[str, dict[str, float]]
     """`channel_errors` without and with the function, on the trials `tested`."""
     tested: list[int]
-    """The held-out trials, or the trials of the estimation if no trial was held out."""
+    """The held-out trials, or the estimation trials if no trial was held out."""
     excess: list[dict[str, Excess]]
-    """Mean squares of the whitened residual, in the trials of the estimation and the held-out."""
+    """Mean squares of the whitened residual in the estimation trials and in the held-out trials."""
     sizes: dict[str, float]
-    """rms change of each channel in the trials of the estimation, over the channel's rms."""
+    """rms change of each channel in the estimation trials, divided by the channel's rms."""
 
     def above_floor(self, outcome: LoopOutcome) -> list[str]:
         """Returns the channels whose residual is still above the noise floor."""
@@ -154,21 +157,21 @@ class Learning:
     places: list[PlaceGain] = field(default_factory=list)
     """Result at each place, best first."""
     dropped: dict[str, Stability] = field(default_factory=dict)
-    """Selected terms that the trials of the estimation do not confirm."""
+    """Selected terms that the estimation trials do not confirm."""
     model: LearnedModel | None = None
     reason: str = ""
-    """Why nothing was learned; empty if a function was learned."""
+    """The reason if no function was learned; empty if a function was learned."""
 
     @property
     def equal_places(self) -> list[str]:
-        """Other places whose terms explain nearly as much as those of the best place."""
+        """Other places whose gain is nearly as large as the gain of the best place."""
         share = self.dictionary.outcome.search.settings.equal_gain_share
         best, *rest = self.places
         return [x.place for x in rest if x.gain > share * best.gain]
 
 
 def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) -> Learning | None:
-    """Returns the result of learning, or None if the verdict leaves nothing to learn."""
+    """Returns the result of learning, or None if the verdict requires no learned function."""
     if outcome.verdict not in (PARTLY, UNEXPLAINED):
         return None
     found = Learning(Dictionary.of(outcome))
@@ -238,7 +241,7 @@ def _conclude(
     before = outcome.chosen._replace(theta=known.theta)
     used = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
     own = [outcome.chosen.predicted[used.index(i)] for i in found.estimation]
-    sizes = relative_changes(problem.channels, own, fit.predicted)
+    sizes = relative_changes(problem, own, fit.predicted)
     limits = problem.discrepancies
     if not any(x > limits[c] for c, x in sizes.items()):
         found.reason = "the terms change every channel by less than the discretisation discrepancy"

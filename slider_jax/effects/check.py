@@ -5,6 +5,7 @@ derivatives must be finite, and at the null the effect must change nothing.
 """
 
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
@@ -41,9 +42,9 @@ DT = 2e-3
 
 
 class Response(NamedTuple):
-    """What a method returns on a sample input, and what it must return at the null.
+    """Values that a method returns on a sample input, and values that it must return at the null.
 
-    A method that returns the effect's state must return an array like `memory`.
+    If a method also returns the effect's state, this state must be an array like `memory`.
     """
 
     given: Any
@@ -64,7 +65,7 @@ MOTION = {
     "strain_t": 0.02, "V_tau": 0.2, "V_n": 0.5, "V_tau_t": 5.0, "V_n_t": 10.0, "u_tau": 0.3,
     "u_n": 0.5, "u_tau_s": 1.0, "u_n_s": 3.0, "u_tau_t": 5.0, "u_n_t": 10.0,
 }  # fmt: skip
-"""Largest values in the sample's cells, in SI units, typical of a stride at 5 Hz."""
+"""Largest values in the sample's cells, in SI units. They are typical of a stride at 5 Hz."""
 
 
 def _section(moving: Array) -> Section:
@@ -186,8 +187,8 @@ def is_complete(kind: type[Effect]) -> bool:
 def checked_effects(module: object, where: str, taken: Mapping[str, str]) -> list[type[Effect]]:
     """Returns the effects that `module` defines. `taken` contains the home of each used name.
 
-    Raises `InputError` if the module defines no effect or an invalid effect. A class that is no
-    effect is allowed only as a base of another class of the module.
+    Raises `InputError` if the module defines no effect or an invalid effect. An incomplete class,
+    without the method of a place, is allowed only as a base of another class of the module.
     """
     kinds = defined_effects(module)
     if not kinds:
@@ -240,6 +241,14 @@ def _check_class(kind: type[Effect], where: str, homes: Mapping[str, str]) -> No
     for noun, priors in (("null", kind.priors()), ("default", kind.shapes())):
         for name, prior in priors.items():
             inside = [prior.null] if prior.start is None else [prior.null, prior.start]
+            for x in (prior.low, prior.high, *inside):
+                if not (isinstance(x, (int, float)) and math.isfinite(x)):
+                    raise InputError.value(f"{where}.{name}", repr(x), "a finite number")
+            if prior.start == prior.null:
+                raise InputError(
+                    f"{where}.{name}: given start {prior.start:g}, equal to the null; allowed is a "
+                    "value at which the effect acts; change or omit start"
+                )
             if not (prior.low < prior.high and all(prior.low <= x <= prior.high for x in inside)):
                 start = "" if prior.start is None else f", start {prior.start:g}"
                 raise InputError(

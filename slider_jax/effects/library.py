@@ -58,16 +58,18 @@ def load_effects(path: Path) -> list[str]:
         raise InputError(f"{path}: is not a Python file; give a file whose name ends in .py")
     module = ModuleType(f"_effects_of_{path.stem}")
     module.__file__ = str(path)
-    sys.modules[module.__name__] = module  # dataclasses look up annotations in sys.modules
     try:
         source = path.read_bytes()
-        # Python's cache of compiled files could be older than `source`, so `exec` runs the source.
-        exec(compile(source, str(path), "exec"), vars(module))
+        code = compile(source, str(path), "exec")
     except SyntaxError as error:
         raise InputError(f"{path}: line {error.lineno}: invalid Python: {error.msg}") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # the file's own code may raise anything
+    sys.modules[module.__name__] = module  # dataclasses look up annotations in sys.modules
+    try:
+        # Python's cache of compiled files could be older than `source`, so `exec` runs the source.
+        exec(code, vars(module))
+    except (Exception, SystemExit) as error:  # the file's own code may raise anything
         raise _cannot_be_imported(str(path), error) from error
     finally:
         del sys.modules[module.__name__]
@@ -102,7 +104,7 @@ def load_all_effects(files: Iterable[Path]) -> None:
         load_effects(path)
 
 
-def _cannot_be_imported(where: str, error: Exception) -> InputError:
+def _cannot_be_imported(where: str, error: BaseException) -> InputError:
     text = " ".join(str(error).split())
     return InputError(f"{where}: cannot be imported: {type(error).__name__}: {text}")
 

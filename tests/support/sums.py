@@ -4,6 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from calibration.inference.noise import Noise
+from calibration.measurements.records import Record
+
 TRIALS, SAMPLES = 4, 300
 
 SHAPES = np.random.default_rng(1).normal(size=(5, TRIALS, SAMPLES))
@@ -22,10 +25,9 @@ class Sums:
         self.shapes, self.size = shapes, 1.0 / noise
         noise = np.random.default_rng(seed).normal(size=(TRIALS, SAMPLES))
         self.y = self._sum(np.asarray(truth)) + noise
-        self.records = [
-            SimpleNamespace(values=np.zeros((5, SAMPLES)), trial=SimpleNamespace(file=str(i)))
-            for i in range(TRIALS)
-        ]
+        t, values = 0.01 * np.arange(SAMPLES), np.zeros((5, SAMPLES))
+        self.records = [Record(SimpleNamespace(file=str(i)), t, values) for i in range(TRIALS)]
+        self.noise = {(i, "tip"): Noise(1.0) for i in range(TRIALS)}
 
     def _sum(self, theta):
         return self.size * np.tensordot(theta, self.shapes, 1)

@@ -21,7 +21,12 @@ class StiffnessGradient(BendingMoment):
     segments = ("body",)
 
     g: Scalar = parameter(
-        0.0, -0.8, 0.8, "-", "hoses end along the body, and castings differ in thickness by 10 %"
+        0.0,
+        -0.8,
+        0.8,
+        "-",
+        "hoses end along the body, and castings differ in thickness by 10 %",
+        physical=(-1.9, 1.9),
     )
     """g, stiffness at the head minus stiffness at the joint, divided by the mean stiffness."""
 

@@ -18,7 +18,9 @@ class FlowExponent(Flow):
     title = "flow grows more slowly than the pressure difference"
     order = 140
 
-    exponent: Scalar = parameter(0.0, 0.0, 0.5, "-", "0 for laminar flow, 0.5 for an orifice")
+    exponent: Scalar = parameter(
+        0.0, 0.0, 0.5, "-", "0 for laminar flow, 0.5 for an orifice", physical=(0.0, 0.9)
+    )
     """b. The flow is proportional to |e|^(1 - b)."""
 
     def rate(self, rate, x):

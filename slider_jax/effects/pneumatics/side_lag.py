@@ -18,7 +18,12 @@ class SideLag(Flow):
     order = 670
 
     x: Scalar = parameter(
-        0.0, -0.5, 0.5, "-", "valves and hoses of the two sides differ by up to a factor of three"
+        0.0,
+        -0.5,
+        0.5,
+        "-",
+        "valves and hoses of the two sides differ by up to a factor of three",
+        physical=(-0.95, 0.95),
     )
     """x, half of the difference of the time constants, divided by their mean k."""
 

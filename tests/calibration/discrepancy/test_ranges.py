@@ -88,3 +88,12 @@ def test_effects_inside_their_ranges_keep_these_ranges():
     found = select((1.0, 0.2, 0.0, 0.0))
     assert found.effects == ["regulator_gain"]
     assert found.declared == {} and list(found.entries) == ENTRIES
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "singular"),
+    [("side_lag", "x", 1.0), ("stiffness_gradient", "g", 2.0), ("flow_exponent", "exponent", 1.0)],
+)
+def test_a_wider_range_does_not_reach_a_negative_lag_or_stiffness(effect, parameter, singular):
+    wide = widened_prior(LIBRARY[effect].priors()[parameter], 3.0)
+    assert max(abs(wide.low), abs(wide.high)) < singular

@@ -6,7 +6,7 @@ import pytest
 from calibration.discrepancy.alternatives import judge_alternatives
 from calibration.discrepancy.ranges import fix_undetermined_shapes, widened_prior
 from calibration.discrepancy.refits import Refits, shape_starts
-from calibration.discrepancy.rounds import Alternative, effect_entries, scoring_entries
+from calibration.discrepancy.rounds import Agreement, Alternative, effect_entries, scoring_entries
 from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.uncertainty import confidence_interval
@@ -181,8 +181,10 @@ def test_an_alternative_with_fewer_parameters_is_excluded_by_a_larger_loss():
     assert Alternative(fit, 22.0, sizes, limits, fewer=0).is_excluded()
     assert not Alternative(fit, 22.0, sizes, limits, fewer=1).is_excluded()
     assert Alternative(fit, 22.0, sizes, limits, fewer=-1).is_excluded()
-    assert Alternative(fit, -22.0, sizes, limits, fewer=1).is_better()
-    assert not Alternative(fit, -22.0, sizes, limits, fewer=-1).is_better()
+    agreed = Agreement(5.0, 0.01, 0.06, 10.0)
+    assert Alternative(fit, -22.0, sizes, limits, 1, agreed).is_better()
+    assert not Alternative(fit, -22.0, sizes, limits, -1, agreed).is_better()
+    assert not Alternative(fit, -22.0, sizes, limits, 1).is_better()
 
 
 def test_starts_are_inside_the_range_and_begin_with_the_default():

@@ -4,14 +4,19 @@ Each effect adds a tone to the thrust; the effects' physical meaning is not used
 """
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from calibration.discrepancy import close_loop
 from calibration.discrepancy.close_loop import conclude
 from calibration.discrepancy.page import loop_page
 from calibration.discrepancy.report import loop_model_toml, loop_record
+from calibration.discrepancy.rounds import Growth, relative_changes
+from calibration.measurements.records import Record
 from calibration.model.extended import BASE, base_values
+from slider_jax.channels import CHANNELS, row_of
 from tests.support import closed_form_tank as tank
 
 NAMES = ("carried_mass", "chamber_mismatch", "body_stiffness")
@@ -125,6 +130,28 @@ def test_a_veto_removes_only_the_effect_that_is_contradicted():
     outcome = conclusion((0.3, 0.25, 0.0, 0.0), held_out_sign=np.array([1.0, -1.0, 1.0, 1.0]))
     assert list(outcome.search.vetoed) == ["chamber_mismatch"]
     assert outcome.effects == ["carried_mass"]
+
+
+def test_the_effect_with_the_largest_growth_does_not_hide_another_contradicted_effect(monkeypatch):
+    growths = iter([Growth(0.3, 0.2), Growth(0.2, 0.02), Growth(-1.0, 0.1)])
+    monkeypatch.setattr(close_loop, "held_out_growth", lambda *given: next(growths))
+    outcome = conclusion((0.3, 0.25, 0.0, 0.0))
+    assert [x.mean for x in outcome.search.vetoed.values()] == [0.2]
+    assert len(outcome.effects) == 1
+
+
+def test_a_change_of_readings_that_were_not_measured_does_not_count():
+    values = np.full((len(CHANNELS), 100), np.nan)
+    values[row_of("tip"), :50] = 1.0
+    trial = tank.experiment_of(FREQUENCIES).trials[0]
+    problem = SimpleNamespace(
+        noise={(0, "tip"): None}, records=[Record(trial, np.arange(100.0), values)]
+    )
+    before, after = np.ones((2, 1, len(CHANNELS), 100))
+    after[:, row_of("tip"), 50:] = 3.0
+    assert relative_changes(problem, before, after) == {"tip": 0.0}
+    after[:, row_of("tip"), :50] = 1.5
+    assert relative_changes(problem, before, after) == {"tip": 0.5}
 
 
 def test_a_residual_that_no_candidate_explains_is_unexplained():

@@ -126,3 +126,17 @@ def test_outliers_do_not_change_the_noise_floor():
     x = np.random.default_rng(1).normal(size=4000)
     x[::200] += 50.0
     assert robust_noise_floor(x, 4) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_coarsely_quantised_camera_keeps_at_least_its_quantisation_noise():
+    """Most successive readings are equal, so their differences say nothing about the noise."""
+    camera, step = SENSORS.model_copy(update={"tip_noise": 5e-4}), 2e-3
+    t, found = np.arange(2000) / 200.0, []
+    for f in (0.3, 0.5, 1.0):
+        values = np.full((len(CHANNELS), len(t)), np.nan)
+        values[row_of("tip")] = step * np.round(8e-3 * np.sin(2.0 * np.pi * f * t) / step)
+        found.append(
+            Record(Trial(file="a.csv", frequency=f, amplitude=2e5, duration=10.0), t, values)
+        )
+    x = measured_noises(camera, found)["tip"]
+    assert min(x.declared, step / np.sqrt(12.0)) <= x.used <= 2.0 * step

@@ -64,6 +64,23 @@ BAD = {
         [(PARAMETER, START.replace("2.0", "20.0"))],
         "WallFriction.c: given null 0, start 20, prior 0 to 10",
     ),
+    "start at the null": (
+        [(PARAMETER, PARAMETER.replace(")", ", start=0.0)"))],
+        "WallFriction.c: given start 0, equal to the null; allowed is a value at which",
+    ),
+    "infinite prior": (
+        [("10.0,", "float('inf'),")],
+        "WallFriction.c: given inf; allowed a finite number",
+    ),
+    "prior as text": ([("10.0,", "'10',")], "WallFriction.c: given '10'; allowed a finite number"),
+    "end of the program": (
+        [("import jax.numpy", "raise SystemExit(3)\nimport jax.numpy")],
+        "cannot be imported: SystemExit: 3",
+    ),
+    "missing table": (
+        [("import jax.numpy", "open('no_such.csv')\nimport jax.numpy")],
+        "cannot be imported: FileNotFoundError",
+    ),
     "prior beyond a physical limit": (
         [(PARAMETER, PARAMETER.replace(")", ", physical=(0.0, 5.0))"))],
         "WallFriction.c: given prior 0 to 10, physical limits 0 to 5; the prior range must be",
