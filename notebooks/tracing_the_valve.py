@@ -54,9 +54,9 @@ print(", ".join(f"{log.frequency:.3g} Hz ({len(log.t)} samples)" for log in logs
 # Each sample of a log gives the pressure error, p_set - p, and the rate at which the pressure
 # changes. If the pressure followed a lag, the rate would be proportional to the error at every
 # pressure. The firmware opens a valve fully if the error exceeds 3.4 psi (25 steps of the
-# analogue-to-digital converter). The plots show the rate for errors above 4 psi, so a valve is
-# fully open at every point. Each blue circle is the mean rate of the samples in a small range of
-# pressures.
+# analogue-to-digital converter). The plots show the rate for errors above +4 psi (filling) and
+# below -4 psi (venting). At these points, a valve is fully open. Each blue circle is the mean rate
+# of the samples in a small range of pressures.
 
 # %%
 filling, venting = [], []
@@ -174,10 +174,11 @@ plt.show()
 #
 # The pressure sensor's analogue-to-digital converter represents each pressure by a whole number,
 # its code. Over many cycles, the pressure of a chamber passes smoothly through all values.
-# Neighbouring codes should therefore occur equally often. The left plot shows the density of
-# each code: its number of readings, divided by the mean number of the neighbouring codes. If this
-# density varies periodically with the code, the cause is the instrument. The right plot shows the
-# power of each period of this variation.
+# Neighbouring codes should therefore occur equally often. The left plot shows the density of each
+# code. The density is the number of readings with this code, divided by the mean number of
+# readings of the neighbouring codes. If the density varies periodically with the code, the cause is
+# the instrument. The right plot shows the power spectrum of this variation against the period in
+# codes.
 
 # %%
 codes = np.concatenate([log.pressure for log in logs]).astype(int)

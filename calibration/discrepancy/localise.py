@@ -12,7 +12,7 @@ from calibration.measurements.records import Record
 from slider_jax.channels import row_of
 
 TREND_P = 0.05
-"""Probability that noise alone causes at least one reported trend (Bonferroni)."""
+"""Probability that noise alone causes at least one of the reported trends (Bonferroni)."""
 PHASES = 8
 """Number of equal parts of a stride in which the squared residual is averaged."""
 
@@ -26,8 +26,9 @@ def locate_residuals(
     """Returns a record for each channel with a residual above the noise floor or with a pattern.
 
     `predicted` are the readings (channels, samples) of every trial of `records`. `left` contains
-    the mean squares of the whitened residual of every channel. For a residual with a pattern at the
-    noise floor, the worst trial is the first trial with a pattern.
+    the mean squares of the whitened residual of every channel. The worst trial is the trial with
+    the largest mean square. If the mean square of the channel is at the noise floor, the worst
+    trial is the first trial with a pattern.
     """
     found, level = [], TREND_P / (3 * len(left))
     for channel, x in left.items():
@@ -103,8 +104,9 @@ def significant_trend(
 ) -> float | None:
     """Returns the rank correlation of the trials' mean squares with one of the trials' settings.
 
-    Returns None for fewer than five trials or a p-value of `level` or more. Of n! orders of the
-    trials, two have the correlation 1 or -1, so the p-value is at least 2/n!.
+    Returns None for fewer than five trials or a p-value of `level` or more. The n trials have n!
+    possible orders, and two of these orders have the correlation 1 or -1. The p-value is therefore
+    at least 2/n!.
     """
     x = np.array([np.nan if s is None else s for s in settings], float)
     there = np.isfinite(x) & np.isfinite(squares)

@@ -26,8 +26,8 @@ def at_edge(x: float, prior: Prior, margin: float) -> bool:
 def widened_prior(prior: Prior, factor: float, is_shape: bool = False) -> Prior:
     """Returns the prior with a range `factor` times as wide about the null.
 
-    An end that is the null stays, and the range ends at the physical limits. For a positive shape
-    parameter, such as a time constant, the low end is divided by the factor instead.
+    An end that is equal to the null does not move, and the range ends at the physical limits. For a
+    positive shape parameter, such as a time constant, the low end is divided by the factor instead.
     """
     low, high = (prior.null + factor * (end - prior.null) for end in (prior.low, prior.high))
     if is_shape and prior.low > 0.0:
@@ -41,7 +41,7 @@ def edge_parameters(
 ) -> list[int]:
     """Returns the indices of fitted parameters of `effects` that are at an edge of their range.
 
-    A parameter that does not score its effect counts only if the data determine the parameter.
+    A parameter that is not used in the score of its effect counts only if the data determine it.
     """
     scored = {i for group in scoring_entries(entries).values() for i in group}
     found = []
@@ -81,8 +81,8 @@ def fix_undetermined_shapes(
 ) -> Fit:
     """Returns `fit`, repeated with undetermined shape parameters fixed at their defaults.
 
-    The parameter with the widest interval is fixed first. A parameter stays free if its default
-    fits significantly worse: the data then determine one end of its interval.
+    The parameter with the widest interval is fixed first. A parameter stays free if the fit with
+    its default is significantly worse, because the data then contradict the default.
     """
     settings, entries, kept = found.settings, found.entries, set[int]()
     least = settings.least_gain(2) - settings.least_gain(1)

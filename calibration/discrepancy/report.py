@@ -25,8 +25,9 @@ from slider_jax.io.files import provenance
 from slider_jax.io.toml import toml_text
 
 REPEATABLE_RATIO = 2.0
-"""The report mentions a repeatable error of the thrust that exceeds this multiple of the model's
-discretisation error, because the extrapolation of this error is right within a factor of 1.5."""
+"""The report states a repeatable error of the thrust if the error exceeds this multiple of the
+model's discretisation error. The multiple is above 1, because the extrapolated discretisation error
+may be wrong by a factor of 1.5."""
 
 
 def loop_record(
@@ -270,7 +271,7 @@ def veto_sentences(outcome: LoopOutcome) -> list[str]:
 
 
 def residual_sentence(outcome: LoopOutcome) -> str:
-    """Returns the second part of the verdict: whether the residual is noise, or where it is not."""
+    """Returns the second part of the verdict: the channels whose residual is not only noise."""
     above = channels_above_floor(outcome.excess, outcome.search.settings)
     if not above:
         return "The residual is at the noise floor."
@@ -352,8 +353,8 @@ def noise_sentences(outcome: LoopOutcome) -> list[str]:
 def discrepancy_records(outcome: LoopOutcome) -> dict[str, dict[str, float | None]]:
     """Returns each channel's declared, extrapolated, measured and used discrepancy.
 
-    All values are fractions of the channel's rms. The used value is that of the final fit. The
-    lower limit and the measured value are None if the model has only one mesh.
+    All values are fractions of the channel's rms. The used value is in the noise of the final fit.
+    If the model has only one mesh, the lower limit and the measured value are None.
     """
     search, declared = outcome.search, outcome.problem.declared
     return {

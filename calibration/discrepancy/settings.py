@@ -21,7 +21,7 @@ class SelectionSettings:
 
     false_alarm_p: float = 1e-3
     """The loop refits a candidate only if the p-value of the candidate's score is below this value.
-    The p-value, `Score.p`, is corrected for the number of candidates."""
+    This p-value (`Score.p`) is corrected for the number of candidates."""
     short_list: int = 5
     """A round refits at most this many candidates scored by tangents, as many by secants, and as
     many with shape parameters."""
@@ -33,11 +33,12 @@ class SelectionSettings:
     with the default of a shape parameter is less accurate."""
     naming_share: float = 0.7
     """The loop refits a candidate only if its predicted change of a channel exceeds this fraction
-    of the channel's model-discretisation discrepancy. It is below 1: the prediction is linear."""
+    of the channel's model-discretisation discrepancy. The fraction is below 1, because the
+    prediction is linear and may be too small."""
     distant_gain_share: float = 0.5
-    """A round ends the selection if every candidate's gain is below this fraction of `min_gain`
-    with the tangents of the round before. These tangents are nearly those of the round, and save
-    the longest computation of most selections."""
+    """A round first scores the candidates with the tangents of the round before. If every gain is
+    below this fraction of `min_gain`, the selection ends. Without this rule, most selections would
+    end with a computation of new tangents, which is their longest computation."""
     visible_share: float = 1e-3
     """Cross-validation omits the trials that a candidate hardly changes. A trial is used if its sum
     of squared changes is at least this fraction of the largest such sum of any trial."""
@@ -55,9 +56,10 @@ class SelectionSettings:
     """Cross-validation also confirms a candidate if the p-value of Wilcoxon's signed-rank test is
     below this value. A candidate that improves all of four trials passes, with any gains."""
     least_held_gain: float = 2.0
-    """Cross-validation also confirms a candidate if its gain exceeds this value in every trial. Two
-    trials can pass no other test. Together, the three tests accept 1.0 % of absent effects with two
-    trials, 2.5 % with three and 1.7 % with four (3000 simulated cases each)."""
+    """Cross-validation also confirms a candidate if its gain exceeds this value in every trial.
+    With two trials, only this test is possible. Together, the three tests accept an absent effect
+    in 1.0 % of the cases with two trials, 2.5 % with three and 1.7 % with four (3000 simulated
+    cases each)."""
 
     max_effects: int = 3
     """Largest number of effects that the loop adds to the model."""
@@ -66,10 +68,10 @@ class SelectionSettings:
     max_swaps: int = 2
     """Largest number of replacements of a chosen effect by an alternative, in one selection."""
     max_halvings: int = 4
-    """If a step of the parameters cannot be simulated, it is halved, at most this many times."""
+    """A step of the parameters that cannot be simulated is halved at most this many times."""
     initial_step_share: float = 0.02
-    """A refit starts at the step that the score predicts. For a parameter with a step of zero, the
-    step is this fraction of the prior range, because a fit cannot leave a bound of the range."""
+    """A refit starts at the step that the score predicts. If the predicted step of a parameter is
+    zero, the step is this fraction of the prior range, because a fit cannot leave a bound."""
     shape_factor: float = 3.0
     """A refit with a shape parameter starts from the parameter's default, from the default times
     this factor and from the default divided by this factor, inside the prior range."""
@@ -79,8 +81,9 @@ class SelectionSettings:
     """A refit on the coarse mesh ends if the next step would lower the sum of squares by less than
     this multiple of the residual's mean square."""
     removal_loss_factor: float = 10.0
-    """The loop keeps an effect without a refit if its removal is predicted to increase the sum of
-    squares by more than this multiple of `min_gain`, in units of the residual's mean square."""
+    """The loop predicts the increase of the sum of squares by the removal of an effect, in units of
+    the residual's mean square. If the increase exceeds this multiple of `min_gain`, the loop keeps
+    the effect without a refit."""
 
     parallel_cosine: float = 0.95
     """Two effects are equivalent if |cos| between their tangents exceeds this value."""
@@ -88,7 +91,8 @@ class SelectionSettings:
     """A candidate is equivalent if its gain exceeds this fraction of the chosen effect's gain."""
     contender_gain_share: float = 0.8
     """After the selection, the loop compares the chosen effect with candidates that have more than
-    this fraction of its gain. It is low because a wrong effect can explain part of another one."""
+    this fraction of its gain. The fraction is low, because other missing effects can decrease the
+    gain of the true effect."""
 
     bound_margin: float = 0.01
     """A parameter is at an edge if it is closer than this fraction of its prior range."""
@@ -97,11 +101,11 @@ class SelectionSettings:
     as wide about the null, within the physical limits, and refits."""
     veto_growth: float = 0.05
     """The held-out trials veto an effect only if the mean of log(S1/S0) exceeds this value. S0 and
-    S1 are the sums of squares without and with the effect. A growth by 5 % is too small to
-    discriminate it from a correlated residual."""
+    S1 are the sums of squares without and with the effect. A correlated residual can cause a growth
+    by 5 %."""
     veto_errors: float = 2.0
-    """The mean must also exceed this multiple of its standard error. If models without and with the
-    effect predict equally well, noise alone exceeds two standard errors in 2 % of the cases."""
+    """The mean must also exceed this multiple of its standard error. If the models with and without
+    the effect predict equally well, the mean exceeds two standard errors in 2 % of the cases."""
 
     def least_gain(self, parameters: int = 1) -> float:
         """Returns the gain that an effect with this number of fitted parameters must exceed.

@@ -15,7 +15,7 @@ PARTLY, UNEXPLAINED, INCONCLUSIVE = "partly_explained", "unexplained", "inconclu
 BEYOND_PRIOR, PROVISIONAL = "beyond_prior", "provisional"
 """Statuses of an added effect, beside `IDENTIFIED` and `CLASS`."""
 LEARNED = "learned"
-"""Status of a term of the dictionary, and the verdict if the learned function leaves only noise."""
+"""Status of a learned function, and the verdict if the residual with this function is noise."""
 
 
 class EffectStatus(NamedTuple):

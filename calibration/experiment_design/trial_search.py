@@ -26,8 +26,8 @@ TRIAL_STRIDES, MAX_SECONDS, MIN_STRIDES = 6.0, 2.0, 2.0
 """A trial lasts `TRIAL_STRIDES` strides or `MAX_SECONDS` [s], whichever is shorter, but at least
 `MIN_STRIDES` strides."""
 WIDENING = 0.1
-"""The default limits widen the range of the experiment's trials at each end by this fraction of the
-end's value (quantities in `LOGARITHMIC`) or of the range's width (all other quantities)."""
+"""By default, the search may go beyond the range of the experiment's trials by this fraction: of
+the end's value for the quantities in `LOGARITHMIC`, and of the range's width for the others."""
 LOGARITHMIC = ("frequency", "amplitude")  # quantities that the search spaces logarithmically
 QUANTITIES = ("frequency", "amplitude", "phase", "tow_speed")
 
@@ -101,7 +101,7 @@ def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, f
 
 
 def trial_at(experiment: Experiment, limits: TrialLimits, point: np.ndarray) -> Trial:
-    """Returns the rounded trial at `point` (4,); 0 and 1 are the ends of a quantity's limits."""
+    """Returns the rounded trial at `point` (4,). An entry of 0 or 1 is the low or high limit."""
     own = [t for t in experiment.trials if t.waveform != "recorded"]
     x = {}
     for name, (low, high), u in zip(QUANTITIES, limits, point, strict=True):
@@ -197,7 +197,7 @@ def trial_text(trial: Trial) -> str:
 
 
 def trial_table(trial: Trial) -> dict[str, Any]:
-    """Returns a trial by key: its non-default values and the four quantities of the search."""
+    """Returns a trial's keys: keys with non-default values, and the quantities of the search."""
     content = trial.model_dump(exclude_defaults=True)
     return content | {name: getattr(trial, name) for name in QUANTITIES}
 

@@ -22,8 +22,8 @@ from slider_jax.simulation.trial import advance_chunk, run_chunks
 POINTS = 41
 """Number of states in a table."""
 TAILS = 0.005
-"""The table omits this fraction of the visited states at each end, such as the instants at which
-the drive switches."""
+"""The table omits this fraction of the visited states at each end, because a state has extreme
+values in the instants when the drive switches."""
 PARTS = ("body", "tail")
 
 
@@ -76,9 +76,9 @@ def visited_states(
 
 
 def learned_curves(learning: Learning) -> list[LearnedCurve]:
-    """Returns a table of every learned term and part, over the states of the estimation's trials.
+    """Returns a table of every learned term and part, over the states of the estimation trials.
 
-    The band contains the covariance of the coefficients and the discretisation error.
+    The 95 % band includes the covariance of the coefficients and the discretisation error.
     """
     learned = learning.model
     assert learned is not None

@@ -1,11 +1,11 @@
 """Selects groups of dictionary terms by group matching pursuit on normal equations.
 
-A group contains the parameters of one term. The base parameters and the effects found before are
-projected out of every score. At each place, the pursuit adds the group with the largest surplus:
-its gain minus the gain that chance allows, corrected for all groups of all places. The place with
-the largest surplus is the place of the learned function. Source: Tropp, J. A. and Gilbert, A. C.
-(2007), Signal recovery from random measurements via orthogonal matching pursuit, IEEE Trans. Inf.
-Theory 53, 4655-4666.
+A group contains the parameters of one term. In every score, the base parameters and the effects
+found before are projected out. The surplus of a group is its gain minus the gain that chance
+allows, corrected for all groups of all places. At each place, the pursuit adds the group with the
+largest surplus, one group after another. The learned function is at the place with the largest
+total surplus. Source: Tropp, J. A. and Gilbert, A. C. (2007), Signal recovery from random
+measurements via orthogonal matching pursuit, IEEE Trans. Inf. Theory 53, 4655-4666.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ MAX_PLACES = 3
 """Largest number of places at which the pursuit refits groups."""
 UNSTABLE_CHANGE = 0.5
 """A group is unstable if the function of the group changes by more than this fraction when one
-trial is left out. A parameter with the other sign changes by more than 1."""
+trial is left out. If a parameter changes its sign, its relative change exceeds 1."""
 
 Groups = Mapping[str, np.ndarray]
 """Indices of the parameters of each term."""
@@ -49,13 +49,13 @@ class PlaceGain(NamedTuple):
     gain: float
     """Reduction of the sum of squares, divided by the mean square of the residual afterwards."""
     surplus: float
-    """Sum of the groups' gains beyond the gains that chance allows."""
+    """Sum of the surpluses of the selected groups."""
     fit: Fit
     """The fit with the selected terms."""
 
 
 class Stability(NamedTuple):
-    """Whether the trials that did not select a group confirm it."""
+    """Whether a group is confirmed by the trials that did not select the group."""
 
     p: float
     """p-value of the group's gain, corrected for the number of selected groups."""
@@ -88,7 +88,7 @@ def _surplus(refits: Refits, current: Fit, fit: Fit, many: int) -> float:
 def _short_list(
     refits: Refits, current: Fit, groups: Groups, blocks: Sequence[ChannelBlock], many: int
 ) -> list[tuple[float, Score]]:
-    """Returns the significant groups that cross-validation confirms, with surplus, best first."""
+    """Returns significant groups that cross-validation confirms: (surplus, score), best first."""
     found, settings = [], refits.settings
     for name, group in groups.items():
         x = score(name, group, current.free, blocks, current.inflation, many, settings)
@@ -133,8 +133,8 @@ def place_gains(
 ) -> list[PlaceGain]:
     """Returns the result of the pursuit at each of the `places`, largest surplus first.
 
-    `start` is the fit without terms, and `J` are the whitened tangents there. The pursuit runs at
-    the `MAX_PLACES` places with the best scores. It refits the groups with the best scores.
+    `start` is the fit without terms, and `J` are its whitened tangents. The pursuit runs only at
+    the `MAX_PLACES` places with the best scores, and refits only the groups with the best scores.
     """
     many = sum(len(groups) for groups in places.values())
     residuals = refits.problem.residuals(start.predicted, refits.white)
@@ -153,12 +153,13 @@ def place_gains(
 def stability(
     blocks: Sequence[ChannelBlock], values: np.ndarray, group: np.ndarray, many: int, unit: float
 ) -> Stability:
-    """Returns the stability of the fitted `group` in the trials of the estimation.
+    """Returns the stability of the fitted `group` in the estimation trials.
 
-    `blocks` are the normal equations of the fitted parameters at the optimum, `values` the fitted
-    values minus the nulls, and `group` the places of the group in them. `unit` is the residual's
-    mean square. The change of the group's function without one trial is measured in the readings of
-    the remaining trials, by the part that the other parameters cannot absorb.
+    `blocks` are the normal equations of the fitted parameters at the optimum. `values` are the
+    fitted values minus the nulls. `group` are the indices of the group in `values`. `many` is the
+    number of selected groups, and `unit` is the residual's mean square. The change of the group's
+    function is measured in the readings of the remaining trials. Only the part of the change that
+    the other parameters cannot absorb counts.
     """
     A, _ = summed(blocks)
     rest = np.setdiff1d(np.arange(len(A)), group)

@@ -1,4 +1,4 @@
-"""Writes the learned function as a part of report.json, as sentences, figure and model file."""
+"""Writes the learned function: a key of report.json, sentences, a figure and a model file."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -134,8 +134,8 @@ def testing_trial(
 ) -> dict[str, Any]:
     """Returns the record of the trial in which the learned function changes the readings most.
 
-    The change is counted in standard deviations of the noise. A change that the parameters of the
-    model without the function can absorb does not count.
+    The change is stated in standard deviations of the noise. The part of the change that the other
+    parameters can absorb does not count.
     """
     known, learned = learning.dictionary, learning.model
     assert learned is not None

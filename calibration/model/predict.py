@@ -312,7 +312,9 @@ def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
 def without_null_effects(p: TrialPlan, theta: np.ndarray) -> tuple[TrialPlan, np.ndarray]:
     """Returns the plan and the parameters of the base model if every effect is at its null.
 
-    The readings are the same. The base model is compiled and simulated in a third of the time.
+    The readings are the same. The base model takes 0.6 of the time of the extended model with all
+    effects (measured: 0.39 s instead of 0.68 s with the mesh `FINE`, 0.14 s instead of 0.25 s with
+    the mesh `COARSE`).
     """
     entries = model_parameters(p.extended.effects)
     acts = [x.prior.null != t and not x.is_shape for x, t in zip(entries, theta, strict=True)]

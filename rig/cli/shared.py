@@ -40,7 +40,7 @@ RigFile = Annotated[
     Path | None, tyro.conf.arg(metavar="RIG.toml", help_behavior_hint="(default: none)")
 ]
 LEAST_SWING = 1e-4
-"""A smaller standard deviation of the tip at rest is not written to the experiment file [m]."""
+"""Smallest standard deviation of the tip at rest [m] that is written to the experiment file."""
 
 
 def rig_ports() -> None:
@@ -55,7 +55,10 @@ def rig_ports() -> None:
 
 
 def load_trials(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
-    """Returns an experiment's tables, and the trials that the rig plays. Raises `InputError`."""
+    """Returns an experiment file's tables, and its trials as the rig drives them.
+
+    Raises `InputError` if the file is invalid.
+    """
     experiment = validate(ExperimentTable, read_toml(path), str(path))
     return experiment, [planned_trial(x, path) for x in experiment.trials]
 
@@ -139,9 +142,10 @@ def warn_of_moving_clamp(trial: TrialTable) -> None:
 
 
 def with_force_counts(settings: RigTable) -> RigTable:
-    """Returns the settings. Missing counts of the force sensor are read from the box's web page.
+    """Returns the settings with the calibration of the force sensor (counts per N and per N m).
 
-    A recording stores these counts, so that the recording can be converted without the box.
+    If the calibration is missing, it is read from the web page of the force sensor's box. A
+    recording stores the calibration, so that the recording can be converted without the box.
     """
     if settings.force is None:
         return settings

@@ -16,11 +16,12 @@ from rig.recording.clock import host_sample_times
 PORT = 49152
 STOP, START, BIAS = 0, 2, 0x42
 INTERNAL_RATE = 7000.0
-"""Rate [1/s] of the box's own samples. `ft_seq` counts these samples. The box sends only some."""
+"""Rate [1/s] at which the box samples. `ft_seq` counts all samples; the box sends only some."""
 ERROR, SATURATED, LATCHED = 1 << 31, 1 << 17, 1 << 16
 """Bits of the status: any error; saturated transducer; load above a threshold (not an error)."""
 STUCK = 0.1
-"""A sensor is stuck if all six counts are constant for this time [s]. Noise varies sound counts."""
+"""A sensor is stuck if all six counts are constant for this time [s]. Noise changes the counts of
+a working sensor more often."""
 
 RECORD = struct.Struct(">III6i")
 _FIELDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])

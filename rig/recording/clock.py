@@ -1,10 +1,11 @@
 """Converts device times to the host's monotonic clock, which is common to all streams.
 
-A message arrives after a delay that varies but is never negative. In a plot of host time over
-device time, all arrivals are therefore above the line of the sending times. The estimate is the
-line below all arrivals with the smallest sum of distances: the edge of the arrivals' lower convex
-hull that spans the mean device time (Moon, Skelly and Towsley, "Estimation and removal of clock
-skew from network delay measurements", INFOCOM 1999). The smallest delay is assumed to be 0.
+A message arrives after a delay that varies but is never negative. Plot the host time of each
+arrival against the device time of its message. All points are then on or above the line of the
+sending times. The estimate of this line is the line below all points with the smallest sum of
+distances to the points. This line contains the edge of the points' lower convex hull that spans the
+mean device time (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network delay
+measurements", INFOCOM 1999). The smallest delay is assumed to be 0.
 """
 
 import time
@@ -20,7 +21,7 @@ MAX_DRIFT = 1e-3
 PIECE = 60.0
 """Duration in which a clock's rate is assumed to be constant [s]."""
 _SHORT = 10.0
-"""Duration of a record below which the variation of the delays hides the clock's rate [s]."""
+"""In a record shorter than this [s], the delays vary too much for an estimate of the rate."""
 _BLOCK = 0.5
 """`RunningClock` keeps one message for each interval of this duration [s]."""
 MAX_MEDIAN_DELAY = 0.5
@@ -163,9 +164,10 @@ def host_sample_times(
 ) -> np.ndarray:
     """Returns the host times [ns] (int64) of the samples with the numbers `at`.
 
-    `number` (n,) contains the increasing numbers of the samples that arrived at `arrived_ns` (n,).
-    `rate` is the sensor's sampling rate [Hz], exact up to the tolerance of the sensor's quartz.
-    Raises `RigError` if the samples did not arrive at this rate.
+    `number` (n,) are the increasing numbers of the received samples, and `arrived_ns` (n,) are
+    their arrival times. `rate` is the sensor's nominal sampling rate [Hz]. The actual rate may
+    differ by the error of the sensor's quartz. Raises `RigError` if the samples did not arrive at
+    this rate.
     """
     start = arrived_ns.min()  # subtracted, so that float64 resolves nanoseconds
     clock = fit_clock((number - number[0]) / rate, 1e-9 * (arrived_ns - start))
@@ -198,8 +200,8 @@ def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
     x (n,) and y (n,) are device and host times [s]. For a given drift, the highest line below the
     points touches one point. The mean of this line is a concave function of the drift. The best
     line touches two points: one before and one after the mean time. The loop searches for these
-    points. If the lines of all drifts touch the same point of a record shorter than
-    `_SHORT`, the drift is 0.
+    points. In a record shorter than `_SHORT`, the best line may touch only one point, because the
+    drift is limited. The drift is then 0.
     """
     middle = x.mean()
     u, v = x - middle, y - x

@@ -36,9 +36,9 @@ class BodyWave(eqx.Module):
 def fundamental_mode(
     y: Float[Array, "times points"], t: Float[Array, " times"], frequency
 ) -> Complex[Array, " points"]:
-    """Returns c(s) [m] of the fundamental: the Fourier coefficient of `y` [m] at `frequency` [Hz].
+    """Returns c(s) [m], the Fourier coefficient of `y` [m] at the drive's `frequency` f [Hz].
 
-    c = (2/n) sum_t y exp(-2 pi i f t). The n times `t` [s] are evenly spaced in whole strides.
+    c = (2/n) sum_t y exp(-2 pi i f t). The n times `t` [s] are evenly spaced over whole strides.
     """
     angle = 2.0 * math.pi * frequency * t[:, None]
     return 2.0 * jax.lax.complex(

@@ -1,2 +1,2 @@
-"""Terms with which `slider close-loop` describes a residual that no effect of the library explains.
-Each file contains the terms of one place."""
+"""Terms of learned functions. `slider close-loop` describes a residual with a learned function if
+no effect of the library explains the residual. Each file contains the terms of one place."""

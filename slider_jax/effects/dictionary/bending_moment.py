@@ -11,12 +11,12 @@ from slider_jax.effects.base import BendingMoment, Curve, parameter
 from slider_jax.effects.functions import magnitude
 
 CURVATURE, RATE, PRESSURE = 3.0, 60.0, 100e3
-"""Curvature [1/m], its rate [1/(m s)] and pressure [Pa] of a typical stride at 5 Hz. A parameter is
-the moment at these values."""
+"""Curvature [1/m], rate of the curvature [1/(m s)] and pressure [Pa] in a typical stride at 5 Hz.
+The parameter of a term is the moment at the term's value of these three."""
 CORNER = 0.1
 """Width of the smooth corner of a one-sided function, in typical curvatures or pressures."""
-WHY = "the elastic moment over EI is 3 1/m at kappa = 3 1/m"
-WHY_PRESSURE = "100 kPa bend with 0.046 N m at K_Q = 4.6e-7 m^3"
+WHY = "the elastic moment divided by EI is 3 1/m at kappa = 3 1/m"
+WHY_PRESSURE = "100 kPa cause a moment of 0.046 N m with K_Q = 4.6e-7 m^3"
 OF_KAPPA = Curve("curvature kappa", "1/m", "moment M/EI", "1/m")
 OF_RATE = Curve("rate of curvature d(kappa)/dt", "1/(m s)", "moment M/EI", "1/m")
 
@@ -148,7 +148,7 @@ class MomentOfPressure(BendingMoment):
     term_curve = Curve("pressure of the chamber", "Pa", "moment M", "N m")
 
     a: Scalar = parameter(0.0, -0.05, 0.05, "N m", WHY_PRESSURE)
-    """a, part that differs between the sides."""
+    """a, part of M with the same sign for both signs of the pressure."""
     b: Scalar = parameter(0.0, -0.05, 0.05, "N m", WHY_PRESSURE)
     """b, quadratic part."""
     c: Scalar = parameter(0.0, -0.05, 0.05, "N m", WHY_PRESSURE)

@@ -10,11 +10,11 @@ from slider_jax.effects.base import Chamber, Curve, Flow, parameter
 from slider_jax.effects.functions import magnitude
 
 PRESSURE, DIFFERENCE = 200e3, 300e3
-"""Typical pressure p and difference p_set - p [Pa] of a drive with 250 kPa. A parameter is the
-value of its basis function there."""
+"""Pressure p and difference p_set - p [Pa] of a typical drive with 250 kPa. A parameter is the
+contribution of its basis function at this value."""
 CORNER = 0.02
 """Width of the smooth corner of the square root, as a fraction of `DIFFERENCE`."""
-WHY = "the flow at 250 kPa and k = 0.08 s is 3 MPa/s"
+WHY = "dp/dt at a difference of 250 kPa and k = 0.08 s is 3 MPa/s"
 WHY_FACTOR = "1/k is 12 1/s at k = 0.08 s"
 
 
@@ -30,7 +30,7 @@ def even_powers(z: Array) -> Float[Array, "3 ..."]:
 
 
 class FlowTerm(Flow):
-    """dp/dt changes by a sign times a function f of a state z, a sum of three functions."""
+    """dp/dt changes by a sign times f(z). f is a sum of three basis functions of a state z."""
 
     a: Scalar = parameter(0.0, -5e6, 5e6, "Pa/s", WHY)
     """Factor of the first basis function."""
@@ -74,7 +74,7 @@ class FlowOfPressure(FlowTerm):
 
 
 class FlowOfPressureBySide(FlowTerm):
-    """dp/dt changes by an even function f of the pressure p, so both sides differ."""
+    """dp/dt changes by an even function f of the pressure p, so the robot's sides differ."""
 
     title = "flow that depends on the pressure and differs between the sides"
     term_curve = Curve("pressure p", "Pa", "change of dp/dt", "Pa/s")
@@ -99,7 +99,7 @@ class FlowOfDifference(FlowTerm):
         return x.p_set - x.p
 
     def basis(self, z):
-        # The part proportional to z is the lag of the base model, so a square root replaces it.
+        # A linear function would be the lag of the base model, so a square root replaces it.
         e = z / DIFFERENCE
         return jnp.stack([e / jnp.sqrt(magnitude(e, CORNER)), e * jnp.abs(e), e**3])
 
@@ -124,7 +124,7 @@ class FlowOfFilling(FlowTerm):
 
 
 class FlowFactor(Flow):
-    """The flow per pressure difference changes by a function f of |p|: dp/dt + f (p_set - p)."""
+    """1/k changes by a function f of |p|: dp/dt changes by f (p_set - p)."""
 
     title = "valve whose opening depends on the pressure"
     term_curve = Curve("pressure |p|", "Pa", "change of 1/k", "1/s")

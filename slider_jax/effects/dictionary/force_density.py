@@ -11,8 +11,8 @@ from slider_jax.effects.base import Curve, ForceDensity, parameter
 from slider_jax.effects.functions import magnitude
 
 SPEED, ACCELERATION, CURVATURE = 0.5, 10.0, 3.0
-"""Lateral speed [m/s], acceleration [m/s^2] and curvature [1/m] of a typical stride at 5 Hz. A
-parameter is the force at these values."""
+"""Lateral speed [m/s], lateral acceleration [m/s^2] and curvature [1/m] in a typical stride (5 Hz).
+The parameter of a term is the force at the term's value of these three."""
 CORNER = 0.02
 """Width [m/s] of the smooth corner of a one-sided function."""
 WHY = "the drag of the crossflow at 0.5 m/s is 11 N/m with C_d = 3"

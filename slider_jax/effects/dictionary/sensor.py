@@ -13,7 +13,7 @@ from slider_jax.effects.functions import magnitude
 
 CORNER = 0.02
 """Width of the smooth corner of |y|, as a fraction of the sensor's scale."""
-WHY = "an error as large as the scale is a broken sensor"
+WHY = "a sensor with an error as large as its scale is broken"
 
 
 class Sensor(NamedTuple):
@@ -21,15 +21,15 @@ class Sensor(NamedTuple):
 
     names: tuple[str, ...]
     scale: float
-    """Typical reading, in the unit of the sensor. All parameters are relative to it."""
+    """Typical reading, in the unit of the sensor. All parameters are divided by this scale."""
 
 
 PRESSURE = Sensor(("p_front", "p_rear"), 100e3)
 THRUST = Sensor(("thrust",), 0.2)
 RECOIL = Sensor(("recoil",), 1.0)
 TIP = Sensor(("tip",), 0.02)
-OF_TIME = ("time t", "s", "change of the reading over its scale", "-")
-OF_READING = ("reading over its scale", "-", "change of the reading over its scale", "-")
+OF_TIME = ("time t", "s", "change divided by the scale", "-")
+OF_READING = ("reading divided by its scale", "-", "change divided by the scale", "-")
 
 
 def _changed(true: Readings, sensor: Sensor, change) -> Readings:
@@ -42,7 +42,7 @@ class SensorPowers(Instrument):
     """y_read = y + s (a |z| + b z |z| + c z^3), with z = y/s and the scale s of the sensor."""
 
     a: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
-    """a, part that differs between the signs of the reading."""
+    """a, part with the same sign for positive and negative readings."""
     b: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
     """b, quadratic part."""
     c: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
@@ -53,7 +53,7 @@ class SensorPowers(Instrument):
         """Returns the sensor whose readings change."""
 
     def state(self, x: Readings) -> Array:
-        """Returns the readings over their scale."""
+        """Returns the readings divided by their scale."""
         sensor = self.sensor()
         return jnp.stack([getattr(x, name) for name in sensor.names]) / sensor.scale
 
@@ -101,7 +101,7 @@ class SensorSine(Instrument):
     """a, amplitude of the sine."""
     b: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
     """b, amplitude of the cosine."""
-    frequency: Scalar = shape_parameter(10.0, 0.1, 500.0, "Hz", "frequencies of a usual sample")
+    frequency: Scalar = shape_parameter(10.0, 0.1, 500.0, "Hz", "usual sample rates resolve these")
     """f, frequency of the largest sine in the residual."""
 
     @abstractmethod

@@ -12,7 +12,7 @@ from slider_jax.effects.base import ForceDensity, parameter, shape_parameter
 
 
 def squared_KC(x: Section, f: Scalar) -> Array:
-    """Returns KC^2 of each cell for the frequency `f` [Hz], as `KeuleganCarpenterDrag` defines."""
+    """Returns KC^2 of each cell for the frequency `f` [Hz]. `KeuleganCarpenterDrag` defines KC."""
     U_2 = x.u_n**2 + (x.u_n_t / (2.0 * math.pi * f)) ** 2
     return U_2 / (f * x.height) ** 2
 
@@ -23,7 +23,7 @@ class KeuleganCarpenterDrag(ForceDensity):
         F_n = -rho C KC^(-e) H |u_n| u_n / 2
         KC  = U/(f H),    U^2 = u_n^2 + (du_n/dt)^2/(2 pi f)^2
 
-    KC is the Keulegan-Carpenter number, and U the amplitude of a sinusoidal u_n. A smooth limit
+    KC is the Keulegan-Carpenter number. If u_n is sinusoidal, U is its amplitude. A smooth limit
     keeps KC above KC_min. Source: Keulegan, G. H. and Carpenter, L. H. (1958), Forces on cylinders
     and plates in an oscillating fluid, J. Res. Natl. Bur. Stand. 60, 423-440. For a plate, e = 1/3
     and C = 8 are from Graham, J. M. R. (1980), The forces on sharp-edged cylinders in oscillatory
@@ -42,7 +42,7 @@ class KeuleganCarpenterDrag(ForceDensity):
     )
     """e, exponent of the decrease."""
     KC_min: Scalar = shape_parameter(
-        0.3, 0.05, 3.0, "-", "0.3 is an amplitude of H/20; thick edges limit C_d at a larger KC"
+        0.3, 0.05, 3.0, "-", "KC = 0.3 is an amplitude of H/20; for thick edges, KC_min is larger"
     )
     """KC_min, smallest KC. This limit keeps the drag coefficient finite."""
     stride_frequency: Scalar = eqx.field(default=5.0)
