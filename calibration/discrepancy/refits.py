@@ -208,9 +208,11 @@ class Refits:
         """Returns each channel's rms change between two fits as a fraction of the channel's rms."""
         return relative_changes(self.problem, before.predicted, after.predicted)
 
-    def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
+    def fit(self, theta: np.ndarray, free: np.ndarray, exact: bool = True) -> Fit:
         """Returns the fit of the parameters `free` (indices) that starts at `theta`."""
-        return fit_gauss_newton(self.problem, self.entries, theta, free, self.progress, self.white)
+        return fit_gauss_newton(
+            self.problem, self.entries, theta, free, self.progress, self.white, exact
+        )
 
     def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:
         """Returns theta with the parameters `group` (indices) at their null."""
