@@ -152,7 +152,7 @@ axes[1].plot(columns["t_s"], 1e-3 * columns["p_rear_Pa"], label="rear")
 axes[1].set(xlabel="time (s)", ylabel="pressure (kPa)")
 axes[1].legend()
 plt.show()
-print(f"the manifold's clock runs at {1 / clock.rate:.6f} of the computer's")
+print(f"the manifold's clock runs {1 / clock.rate:.6f} times as fast as the computer's clock")
 
 # %% [markdown]
 # ## The fit

@@ -142,10 +142,10 @@ ax.legend(title="phase (-)", ncols=2, fontsize="small", loc="center left", bbox_
 plt.show()
 
 # %% [markdown]
-# The travelling index is 1 for a travelling wave and 0 for a standing wave. The index follows from
-# the amplitude and phase of the motion's fundamental along the body. Here the index is close to 0,
-# so the wave is mostly a standing wave. The reasons are the clamped head and the small delay
-# between the two chambers.
+# The travelling index is 1 for a travelling wave and 0 for a standing wave. The index is computed
+# from the lateral motion at the stride frequency: from its amplitude and its phase at each point of
+# the body. Here the index is close to 0, so the wave is mostly a standing wave. The reasons are the
+# clamped head and the small delay between the two chambers.
 
 # %%
 t = np.asarray(run.t)[-steps:]

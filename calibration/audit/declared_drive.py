@@ -27,13 +27,14 @@ from calibration.measurements.records import Finding, Record
 from slider_jax.channels import BUILT_IN
 
 SKEW = 0.004
-"""Smallest relative frequency error that is a fault. Slow transients may cause smaller errors."""
+"""A smaller relative frequency error is no fault, because slow transients may cause it."""
 MAX_SKEW = 0.03
 """Largest relative frequency error of a skewed clock. A larger error counts as a wrong drive."""
 WRONG_DRIVE = 0.8
 """A drive is wrong if a pressure's relative residual exceeds this value at every lag and delay."""
 STRANGE, TIMES = 0.25, 6.0
-"""A drive is also wrong if the residual exceeds `STRANGE` and `TIMES` times the trials' median."""
+"""A drive is also wrong if the residual exceeds both `STRANGE` and `TIMES` times the median of all
+trials."""
 WRONG_AMPLITUDE = np.log(1.25)
 FITS = 0.1
 """A trial's delay is checked only if the relative residual of its pressures is below this value."""

@@ -19,7 +19,7 @@ NAMES = tuple(CHANNELS[name].column for name in BUILT_IN)
 MAX_RESIDUAL = 0.6
 """A pressure responds to a drive if its relative fit residual (`LagFits`) is below this value."""
 STRIDES = 1.2
-"""Smallest number of settled strides from which a fundamental (first harmonic) is computed."""
+"""With fewer settled strides, no fundamental (first harmonic) is computed."""
 
 
 class DriveResponses:

@@ -21,7 +21,8 @@ BODY = (2, 3, 4)
 LAGS = np.arange(-0.03, 0.1, 0.01)
 """Candidate delays of a sensor [s]. A delay that is the same in all trials is no fault."""
 CLEAR = 0.8
-"""Smallest absolute correlation with the prediction that identifies a channel."""
+"""A channel is identified only if its absolute correlation with the prediction exceeds this
+value."""
 COMPARABLE = 0.7
 """A channel is checked only if its correlation in the other trials is at least this value."""
 MARGIN = 0.5
@@ -33,9 +34,11 @@ UNIT_MARGIN = np.log10(3.0)
 SMALL = {1e3: ("mN", "mN", "mm"), 1e-3: ("kN", "kN", "km")}
 """Wrong units of thrust, recoil and tip. Each key is the value of 1 N or 1 m in these units."""
 OUTLIER = 30.0
-"""Smallest ratio of an outlier's mean square residual to the median of the other trials."""
+"""A trial is an outlier only if its mean square residual is more than this many times the median of
+the other trials."""
 BEYOND = 4.0
-"""Smallest ratio of an outlier's mean square residual to the largest in any other trial."""
+"""The mean square residual of an outlier must also be more than this many times the largest value
+in all other trials."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class _Correlations:
         return _correlation(r, p, column, row, self.lags[BODY.index(row)])
 
     def size(self, i: int, row: int) -> float:
-        """Returns log10 of the measured standard deviation divided by the predicted one."""
+        """Returns log10 of the ratio of the measured to the predicted standard deviation."""
         r, p = self.pairs[i]
         there = np.isfinite(r.values[row]) & np.isfinite(p[row])
         if there.sum() < 20 or not np.std(p[row, there]) or not np.std(r.values[row, there]):

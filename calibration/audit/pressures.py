@@ -26,7 +26,8 @@ from slider_jax.channels import BUILT_IN
 UNITS = {1e-3: "kPa", 1e3: "mPa", 1.0 / 6894.757: "psi", 1e-5: "bar", 1e-6: "MPa"}
 """Names of wrong units. Each key is the value of 1 Pa in the unit."""
 UNIT_MARGIN = np.log(1.6)
-"""Largest |ln(gain/key)| that identifies a unit. The keys of `UNITS` differ by factors >= 6.9."""
+"""A unit is identified if |ln(gain/key)| is below this value. The keys of `UNITS` differ by a
+factor of at least 6.9."""
 
 
 def check_pressures(

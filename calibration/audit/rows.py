@@ -13,7 +13,7 @@ from slider_jax.errors import InputError
 from slider_jax.io.toml import read_bytes
 
 MAX_BAD_SHARE = 0.5
-"""Largest fraction of damaged rows in a file that is used."""
+"""A file with a larger fraction of damaged rows is not used."""
 MIN_ROWS = 20
 
 
@@ -90,8 +90,10 @@ def _check_header(name: str, header: list[str]) -> list[Finding]:
     for column in channel_columns()[1:]:
         if column not in header:
             unknown = [x for x in header if x not in channel_columns()]
-            ignored = f"; unknown columns: {', '.join(unknown)[:80]}" if unknown else ""
-            detail = f"the file has no column {column}{ignored}; the other columns are used"
+            ignored = f"; unknown columns {', '.join(unknown)[:80]} are ignored" if unknown else ""
+            detail = (
+                f"the file has no column {column}{ignored}; all known columns of the file are used"
+            )
             findings.append(Finding(name, "missing_column", column, None, None, detail, "used"))
     return findings
 

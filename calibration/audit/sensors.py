@@ -16,7 +16,7 @@ from calibration.measurements.records import Finding, masked_finding
 IMPOSSIBLE = 1e-6
 """Equal successive readings are a fault if their probability in a series is below this value."""
 MIN_REPEATS = 5
-"""Smallest number of equal successive readings that count as a stuck sensor."""
+"""Fewer equal successive readings never count as a stuck sensor."""
 SPIKE = 15.0
 """A spike differs from its neighbours by at least this many standard deviations of the noise."""
 BRIDGED = 5
@@ -64,7 +64,7 @@ def quantisation(values: np.ndarray, declared: float) -> Quantisation:
 
 
 def _step_of(values: np.ndarray) -> float:
-    """Returns the quantisation step. Most differences of readings (n,) are multiples of it."""
+    """Returns the quantisation step: most differences of readings are multiples of this step."""
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-12 * max(float(np.ptp(values)), 1e-300)]
     if not steps.size:

@@ -13,11 +13,11 @@ JITTER = 0.2
 MAX_CONFLICTS = 0.02
 """Largest accepted fraction of rows that have another row's time but different readings."""
 MANY_GAPS = 20
-"""Number of gaps above which one finding describes all gaps of a file."""
+"""If a file has more gaps than this, one finding describes all gaps of the file."""
 OFTEN = 0.4
 """The check for repeated rows omits channels that repeat at least this fraction of readings."""
 FROZEN = 5
-"""Smallest number of successive repeated rows that count as a stuck logger."""
+"""Fewer successive repeated rows never count as a stuck logger."""
 
 
 def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:

@@ -155,7 +155,7 @@ def _with_tangents(function: Callable, arguments, directions):
 
 
 def _series(theta: np.ndarray, robot, density: float, grid: StepGrid, numerics: Numerics):
-    """Returns the tip (n + 1,) [m] from the release on, and its tangents (4, n + 1)."""
+    """Returns the tip (n + 1,) [m] since the release, and its tangents (4, n + 1)."""
     x, d, rho = jnp.asarray(theta), jnp.eye(len(theta)), jnp.asarray(density)
     (carry, tip), (d_carry, d_tip) = _begin(x, d, robot, rho, numerics)
     h = jnp.asarray(grid.h)

@@ -82,7 +82,10 @@ class BenchEstimate(NamedTuple):
 
     @classmethod
     def of(cls, value: float, error: float, times: float) -> "BenchEstimate":
-        """Returns the interval of `times` standard errors; the lower limit is at least 0."""
+        """Returns `value` with the interval from value - times x error to value + times x error.
+
+        `error` is the standard error. The lower limit is at least 0.
+        """
         return cls(value, max(0.0, value - times * error), value + times * error)
 
     @property
@@ -126,8 +129,9 @@ def tail_alone(robot: Robot) -> Robot:
 
 @eqx.filter_jit
 def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
-    """Returns tip and joint (2, rows) [m] and their derivatives (2, rows, 3) in `logs`.
+    """Returns the displacements of tip and joint (2, rows) [m], and their derivatives.
 
+    The derivatives (2, rows, 3) are with respect to `logs`.
     `logs` are the logarithms of EI_body, EI_tail and K_Q. `rows` contains on_tail (rows,), force
     (rows,) and pressure (rows, 2), as in `Shapes`.
     """

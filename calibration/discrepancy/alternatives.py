@@ -130,7 +130,7 @@ def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
 
 
 def _agreement(refits: Refits, found: Selection, name: str, fit: Fit) -> Agreement | None:
-    """Returns the cross-validation of the effect `name` in its `fit`, beside the other effects."""
+    """Returns the cross-validation of the effect `name` in its `fit` with all other effects."""
     if name in found.effects:
         return None
     own = np.isin(fit.free, effect_entries(refits.entries)[name])

@@ -8,7 +8,7 @@ import numpy as np
 from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import residual_outliers
 from calibration.discrepancy.ranges import fix_undetermined_shapes, widen_ranges
-from calibration.discrepancy.refits import Refits
+from calibration.discrepancy.refits import FitStart, Refits
 from calibration.discrepancy.rounds import Growth, Selection, effect_entries
 from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
@@ -24,7 +24,7 @@ from calibration.inference.goodness import (
 )
 from calibration.inference.measured_noise import ChannelNoise, measured_noises
 from calibration.inference.noise import Noise
-from calibration.inference.problem import AbstractProblem, TankProblem, total
+from calibration.inference.problem import FAILED, AbstractProblem, TankProblem, total
 from calibration.inference.tails import Tails, heavy_tails
 from calibration.inference.uncertainty import (
     Instability,
@@ -248,7 +248,7 @@ def held_out_growth(rest: AbstractProblem, without: Fit, with_it: Fit) -> Growth
     """Returns the growth of the error in the held-out trials `rest` by an effect.
 
     Both fits use the other trials. The whitened sum of squares of a held-out trial is S0 without
-    the effect and S1 with the effect. The growth is log(S1/S0). The standard error is that of white
+    the effect and S1 with the effect. The growth is log(S1/S0). The standard error assumes white
     noise with the variance S0/n, where n is the number of readings. Let d be the sum of the squared
     changes of the whitened readings by the effect. The standard deviation of S1 - S0 is then
     2 sqrt(d S0/n), and the standard deviation of log(S1/S0) is 2 sqrt(d/(n S0)).
@@ -281,7 +281,7 @@ def veto_effects(
     white = problem.whiteners(found.base.predicted) if len(found.effects) > 1 else {}
     refits = Refits(problem, found.entries, white, progress, found.settings)
     while found.effects:
-        less = {name: _without(refits, found, name) for name in found.effects}
+        less = _without_each(refits, found)
         growths = {n: held_out_growth(rest, fit, found.final) for n, fit in less.items()}
         contradicted = [n for n, x in growths.items() if x.vetoes(found.settings)]
         if not contradicted:
@@ -289,22 +289,32 @@ def veto_effects(
         name = max(contradicted, key=lambda n: growths[n].mean)
         progress(f"removing {name}: it increases the error in the held-out trials")
         found.vetoed[name] = growths[name]
-        found.final = less[name]
+        one = found.effects == [name]
+        found.final = found.base if one else refits.fit(less[name].theta, less[name].free)
         found.effects.remove(name)
         round_ = next(r for r in found.rounds if r.chosen == name)
         round_.chosen, round_.equivalent, round_.alternatives = None, [], {}
         round_.taken_out = name
 
 
-def _without(refits: Refits, found: Selection, name: str) -> Fit:
-    """Returns the fit to the trials of the selection without the effect `name`."""
-    if found.effects == [name]:
-        return found.base
-    refits.progress(f"refitting without {name}")
-    group = effect_entries(refits.entries)[name]
-    free, null = found.final.free, refits.null(found.final.theta, group)
-    # The veto compares errors that differ by at least 5 %, so its fit needs no exact tangents.
-    return refits.fit(null, free[~np.isin(free, group)], exact=False)
+def _without_each(refits: Refits, found: Selection) -> dict[str, Fit]:
+    """Returns the fit to the trials of the selection without each effect, where it is possible.
+
+    The fits use the coarse mesh: the veto compares errors that differ by at least 5 %.
+    """
+    if len(found.effects) == 1:
+        return {found.effects[0]: found.base}
+    problem, final, groups = refits.problem, found.final, effect_entries(refits.entries)
+    refits.progress(f"refitting without each of: {', '.join(found.effects)}")
+    along = reading_derivatives(problem, refits.entries, final.theta, final.free)
+    J, starts = problem.whitened(along, refits.white), []
+    for name in found.effects:
+        kept = ~np.isin(final.free, groups[name])
+        null = refits.null(final.theta, groups[name])
+        own = {key: x[kept] for key, x in J.items()}
+        starts.append(FitStart(null, final.free[kept], final.theta, own))
+    fits = refits.estimated(final, starts, {}, judge=True)
+    return {n: x for n, x in zip(found.effects, fits, strict=True) if x.square < FAILED}
 
 
 def conclude(

@@ -67,7 +67,8 @@ def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str
     this mean square divided by the sum of all eight. `growing` is the fraction of the squared
     residual at times when the predicted reading moves away from its mean. `mean` is the residual's
     mean divided by its rms. `peak_Hz` is the frequency of the sine that explains most of the
-    residual after subtraction of the mean, and `peak_share` the fraction of squares it explains.
+    residual after subtraction of the mean. `peak_share` is the fraction of the sum of squares that
+    this sine explains.
     """
     there = record.there(channel)
     r = (record.values[row_of(channel)] - model)[there]

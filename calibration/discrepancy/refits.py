@@ -208,11 +208,9 @@ class Refits:
         """Returns each channel's rms change between two fits as a fraction of the channel's rms."""
         return relative_changes(self.problem, before.predicted, after.predicted)
 
-    def fit(self, theta: np.ndarray, free: np.ndarray, exact: bool = True) -> Fit:
+    def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
         """Returns the fit of the parameters `free` (indices) that starts at `theta`."""
-        return fit_gauss_newton(
-            self.problem, self.entries, theta, free, self.progress, self.white, exact
-        )
+        return fit_gauss_newton(self.problem, self.entries, theta, free, self.progress, self.white)
 
     def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:
         """Returns theta with the parameters `group` (indices) at their null."""
@@ -291,7 +289,7 @@ class Refits:
         halfway to its `null`, at most `max_halvings` times. If it still fails, the sum of squares
         of the fit is `FAILED`. Unless `judge` is true, a fit without prospects ends early, without
         convergence: its expected gain is below the fraction `contender_gain_share` of the largest
-        gain. The largest gain is that of all these fits, or `most` if `most` is larger.
+        gain. The largest gain is the maximum over all these fits, or `most` if `most` is larger.
         """
         if not starts:
             return []

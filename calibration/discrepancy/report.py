@@ -158,7 +158,7 @@ def _interval(outcome: LoopOutcome, effect: str, name: str) -> dict[str, Any]:
 
 
 def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns the candidates of each round, best first, with the test results of refitted ones."""
+    """Returns the candidates of each round, best first, with the tests of refitted candidates."""
     rows = []
     for number, round_ in enumerate(outcome.search.rounds, start=1):
         refitted = {t.name: t for t in round_.refitted}
@@ -281,7 +281,7 @@ def residual_sentence(outcome: LoopOutcome) -> str:
         x, text = outcome.excess[c], []
         if x.all > outcome.search.settings.noise_floor:
             worst = fitted[int(np.nanargmax(x.trials))].trial.file
-            text.append(f"mean square {x.all:.3g} times that of the noise, largest in {worst}")
+            text.append(f"mean square {x.all:.3g} times the noise variance, largest in {worst}")
         if x.patterns:
             text.append(pattern_text(max(x.patterns, key=lambda p: p.line)))
         parts.append(f"{c} ({'; '.join(text)})")

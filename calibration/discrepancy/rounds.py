@@ -66,7 +66,7 @@ class Refit:
 
 
 class Alternative(NamedTuple):
-    """The final fit with an alternative effect substituted for the chosen one."""
+    """The final fit with an alternative effect substituted for the chosen effect."""
 
     fit: Fit
     loss: float
@@ -76,7 +76,7 @@ class Alternative(NamedTuple):
     discrepancies: dict[str, float]
     """Model-discretisation discrepancy of each channel in the noise of both fits."""
     fewer: int = 0
-    """Number of fitted parameters that this fit has fewer than the final fit."""
+    """Number of fitted parameters of the final fit, minus the number of this fit."""
     agreement: "Agreement | None" = None
     """Cross-validation of the alternative with all other effects in the model. None: the final
     model contains the alternative already."""

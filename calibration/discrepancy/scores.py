@@ -66,9 +66,10 @@ def score(
     many: int,
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> Score:
-    """Returns the score of the candidate with the parameters `group`, fitted with those in `free`.
+    """Returns the score of the candidate with the parameters `group`.
 
-    `unit` is the residual's mean square and `many` the number of candidates.
+    The parameters `group` and `free` are fitted together. `unit` is the residual's mean square and
+    `many` the number of candidates.
     """
     A, b = summed(blocks)
     both = np.concatenate([free, group])
@@ -98,8 +99,8 @@ def blocks_at_null(
 ) -> list[ChannelBlock]:
     """Returns the normal equations with the parameters `group` at their nulls.
 
-    `blocks` are the normal equations of a fit, and `distance` are its values minus the nulls. The
-    tangents are those of the fit.
+    `blocks` are the normal equations of a fit. `distance` are the fitted values of `group` minus
+    the nulls. The tangents of the fit are kept.
     """
     found = []
     for x in blocks:

@@ -17,7 +17,7 @@ class SelectionSettings:
     """Largest mean square of a channel's whitened residual that is attributed to noise. The
     model-discretisation discrepancy alone causes mean squares up to 1.3."""
     min_trials: int = 3
-    """Smallest number of trials with which the loop runs. Cross-validation needs three trials."""
+    """The loop does not run with fewer trials, because cross-validation needs three trials."""
 
     false_alarm_p: float = 1e-3
     """The loop refits a candidate only if the p-value of the candidate's score is below this value.
@@ -76,7 +76,7 @@ class SelectionSettings:
     """A refit with a shape parameter starts from the parameter's default, from the default times
     this factor and from the default divided by this factor, inside the prior range."""
     max_estimate_steps: int = 12
-    """Largest number of steps, including shortened ones, of a refit on the coarse mesh."""
+    """Largest number of steps, including shortened steps, of a refit on the coarse mesh."""
     estimate_tolerance: float = 0.5
     """A refit on the coarse mesh ends if the next step would lower the sum of squares by less than
     this multiple of the residual's mean square."""

@@ -13,7 +13,7 @@ from calibration.inference.goodness import Excess
 NOTHING, IDENTIFIED, CLASS = "nothing_missing", "identified", "class"
 PARTLY, UNEXPLAINED, INCONCLUSIVE = "partly_explained", "unexplained", "inconclusive"
 BEYOND_PRIOR, PROVISIONAL = "beyond_prior", "provisional"
-"""Statuses of an added effect, beside `IDENTIFIED` and `CLASS`."""
+"""Further statuses of an added effect, in addition to `IDENTIFIED` and `CLASS`."""
 LEARNED = "learned"
 """Status of a learned function, and the verdict if the residual with this function is noise."""
 
@@ -50,10 +50,11 @@ def parameters_beyond_prior(search: Selection, theta: np.ndarray, name: str) -> 
 def judge_effects(
     search: Selection, theta: np.ndarray, after: Mapping[str, Excess]
 ) -> list[EffectStatus]:
-    """Returns the status of each added effect. `theta` and `after` are those of the final model.
+    """Returns the status of each added effect.
 
-    An effect is provisional if the residual of a channel that it changes is above the noise floor,
-    or if the final fit did not converge.
+    `theta` are the parameters of the final model, and `after` are its residual mean squares. An
+    effect is provisional if the residual of a channel that it changes is above the noise floor, or
+    if the final fit did not converge.
     """
     left, found = channels_above_floor(after, search.settings), []
     for round_ in search.rounds:

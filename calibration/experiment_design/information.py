@@ -185,9 +185,10 @@ class TrialInformation:
         return found
 
     def _readings(self, trial: Trial, p: TrialPlan) -> list[np.ndarray]:
-        """Returns readings (channels, n), tangents (k, channels, n), readings of any second model.
+        """Returns the readings (channels, n) and the tangents (k, channels, n) of the model.
 
-        k is 0 if the simulation fails. Differences replace the tangents along few directions.
+        If there is a second model, its readings follow. k is 0 if the simulation fails. Differences
+        replace the tangents along few directions.
         """
         others = [] if self.other is None else [self.other]
 

@@ -78,8 +78,8 @@ def _again(outcome: LoopOutcome) -> dict[str, Any]:
     again = trial.model_copy(update={"file": unused_file_name(outcome.experiment)})
     text = (
         f"Repeat {trial.file} ({trial_text(trial)}): the residual's mean square in {channel} is "
-        f"{x.trials[worst]:.1f} times that of noise. If the repetition has the same residual, the "
-        "cause is in the tank. If not, the set-up of the first trial was the cause."
+        f"{x.trials[worst]:.1f} times the mean square of noise. If the repetition has the same "
+        "residual, the cause is in the tank. If not, the set-up of the first trial was the cause."
     )
     return next_trial_record("repeat", text, again)
 

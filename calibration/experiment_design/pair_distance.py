@@ -50,7 +50,11 @@ def effect_pairs(
     sizes: Mapping[str, np.ndarray],
     free: np.ndarray,
 ) -> list[EffectPair]:
-    """Returns all pairs of effects; `indices` are their row numbers in A, `free` those refitted."""
+    """Returns all pairs of effects.
+
+    `indices` are the row numbers in A of each effect's parameters. `free` are the row numbers of
+    the parameters that every fit adjusts.
+    """
     found = []
     for first, second in combinations(indices, 2):
         one, other = indices[first], indices[second]

@@ -119,7 +119,7 @@ def best_trial(
 ) -> dict[int, Proposal]:
     """Returns, for each parameter index in `wanted`, the trial that narrows the interval most.
 
-    The predicted interval is that of a joint fit of all free parameters to the measured data and
+    The predicted interval results from a joint fit of all free parameters to the measured data and
     to one of the `candidates`. Candidates that cannot be simulated are skipped.
     """
     effects = tuple(dict.fromkeys(p.effect for p in entries if p.effect))

@@ -26,8 +26,9 @@ TRIAL_STRIDES, MAX_SECONDS, MIN_STRIDES = 6.0, 2.0, 2.0
 """A trial lasts `TRIAL_STRIDES` strides or `MAX_SECONDS` [s], whichever is shorter, but at least
 `MIN_STRIDES` strides."""
 WIDENING = 0.1
-"""By default, the search may go beyond the range of the experiment's trials by this fraction: of
-the end's value for the quantities in `LOGARITHMIC`, and of the range's width for the others."""
+"""By default, the search may go beyond the range of the experiment's trials by this fraction. For
+the quantities in `LOGARITHMIC`, this is a fraction of the value at the end of the range. For the
+other quantities, this is a fraction of the width of the range."""
 LOGARITHMIC = ("frequency", "amplitude")  # quantities that the search spaces logarithmically
 QUANTITIES = ("frequency", "amplitude", "phase", "tow_speed")
 
@@ -167,8 +168,8 @@ class TrialSearch:
                 step *= 0.5
         if not np.isfinite(best.value):
             raise SolverError(
-                "no trial within the limits can be simulated; lower the limits, first those of the "
-                "amplitude"
+                "no trial within the limits can be simulated; lower the limits, first the limits "
+                "of the amplitude"
             )
         return best
 

@@ -1,2 +1,2 @@
-"""Compares the paper's published swimming speeds with those of its equations. This package may
+"""Compares the published swimming speeds with speeds from the paper's equations. This package may
 import `discrepancy` and packages of lower layers."""

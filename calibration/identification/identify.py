@@ -31,7 +31,7 @@ from slider_jax.io.toml import toml_text
 
 METHODS = {"lm": fit_gauss_newton, "lbfgs": fit_lbfgs}
 LBFGS_PARAMETERS = 12
-"""Smallest number of fitted parameters for which the method "auto" is L-BFGS."""
+"""With this number of fitted parameters or more, the method "auto" is L-BFGS."""
 
 
 class Identified(NamedTuple):

@@ -21,7 +21,7 @@ CONSTANT, PAPER, RAMP, EACH = "constant", "paper", "ramp", "per_frequency"
 RAMP_PARAMETERS = ("C_d", "m_a")
 """Parameters that follow the paper's ramp."""
 SAME_FREQUENCY = 0.02
-"""Largest relative difference between two drive frequencies that count as one frequency."""
+"""Two drive frequencies count as one if their relative difference is at most this value."""
 
 
 class ParameterTies(NamedTuple):

@@ -49,7 +49,7 @@ from slider_jax.errors import InputError, refuse_unknown
 from slider_jax.experiment.load import Experiment
 
 MIN_FREQUENCIES = 4
-"""Smallest number of frequencies for the cross-validation."""
+"""With fewer frequencies, there is no cross-validation."""
 
 
 class FittedTies(NamedTuple):

@@ -44,7 +44,8 @@ FEW, DIFFERENCE = 3, 1e-4
 all tangents together, so a few tangents take nearly as long as all tangents. A finite difference
 changes a parameter by the fraction `DIFFERENCE` of its prior range."""
 FRESH_DISTANCE = 0.3
-"""A fit may end without new derivatives if the parameters have moved by fewer standard errors."""
+"""A fit may end without new derivatives if the parameters have moved by fewer standard errors than
+this number."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Fractions of a step that are tried in this order."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5

@@ -39,15 +39,16 @@ error of a channel is 0.66 to 1.2 times the error found with twice the cells and
 PHASE_STEP = 0.5 * DISCREPANCY_TIME
 """Width of the steps of the curves B [s]."""
 LONGEST_STRIDE = 2.56
-"""Duration [s] that is examined in a trial whose drive has no frequency or a longer period."""
+"""If a trial's drive has no frequency or a longer period, only this duration [s] is examined."""
 MOST_READINGS = 2600
-"""Largest number of readings of a trial that is examined."""
+"""At most this number of readings of a trial is examined."""
 DEVIANCE = 1.0
 """Increase of the deviance at one standard error."""
 GRID = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 241)])
 """Values of s that are compared, divided by the constant of the channel; steps of 3 %."""
 LEAST_MODE = 1e-2
-"""A component is omitted if the largest possible discrepancy increases its variance by less."""
+"""A component of unit variance is omitted if the largest possible discrepancy increases the
+variance by at most this value."""
 CONSTANT = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "pressure")
 """Channels whose discrepancy is not measured. Both meshes have the same pressures, so there is no
 lower limit. Errors of the pressures may also have a period of several strides. With time steps of
@@ -155,9 +156,10 @@ def _series_error(
 def likely_error(
     parts: Sequence[tuple[np.ndarray, np.ndarray]], most: float
 ) -> tuple[float, float]:
-    """Returns the s of least deviance and the largest s within `DEVIANCE`, both at most `most`.
+    """Returns the measured s, and the largest s whose deviance is within `DEVIANCE` of the minimum.
 
-    `parts` are the eigenvalues g (k,) and components z (k,) of each trial.
+    Both are at most `most`. The module's docstring defines s and the deviance. `parts` are the
+    eigenvalues g (k,) and components z (k,) of each trial.
     """
     g, z = (np.concatenate(x) for x in zip(*parts, strict=True))
     variance = 1.0 + np.square(most * GRID)[:, None] * g

@@ -2,7 +2,7 @@
 
 Differences of successive readings cancel a smooth signal. Differences of readings one stride apart
 also cancel a signal that repeats in each stride. If a signal remains in the differences, it
-increases the estimate. An estimate that is clearly smaller than the others is therefore used.
+increases the estimate. If one estimate is clearly smaller, it is therefore used.
 """
 
 import math
@@ -43,10 +43,10 @@ THINNING = 3
 """A noise below the declared noise must also appear in every third reading. A sensor with a
 low-pass filter has little noise in successive differences, although it has the declared noise."""
 LEAST_SHARE = 0.5
-"""Smallest noise that is used, divided by the model-discretisation discrepancy. The model of the
-discrepancy is not exact enough for a smaller noise, as in simulated readings without noise."""
+"""The used noise is at least this fraction of the model-discretisation discrepancy. The model of
+the discrepancy is not exact enough for a smaller noise, as in simulated readings without noise."""
 FEWEST = 30
-"""Smallest number of differences from which the noise of a trial is measured."""
+"""With fewer differences, the noise of a trial is not measured."""
 HIGH_BAND, STRIDES = "successive differences", "differences between strides"
 NOT_MEASURED, THINNED = "not measured", "differences of every third reading"
 

@@ -24,9 +24,9 @@ DISCREPANCY_STRIDES = 10.0
 correlation of successive strides is 0.86 to 0.94. A mean over strides therefore hardly reduces the
 discrepancy."""
 WHOLE = 1000
-"""Largest number of samples in a series that is whitened as one block. Its covariance is exact. A
-larger block needs more time and memory than a filter with many states: with 2500 samples 0.33 s and
-50 MB, while the filter takes 0.01 to 0.23 s."""
+"""A series with at most this number of samples is whitened as one block, with the exact covariance.
+A larger block needs more time and memory than a filter with many states. With 2500 samples, a block
+takes 0.33 s and 50 MB, and the filter takes 0.01 to 0.23 s."""
 BLOCK = 256
 """Number of samples that are whitened together."""
 MAX_HARMONICS = 128
@@ -38,13 +38,14 @@ the variance of the white noise."""
 PHASES = 2**14
 """Number of phases at which the discrepancy's correlation is evaluated for its harmonics."""
 TIME_TOLERANCE = 0.01 * DISCREPANCY_TIME
-"""Blocks share matrices if their sample times differ by less [s]. Correlations then change by at
-most 1 %."""
+"""Blocks share matrices if their sample times differ by less than this [s]. Correlations then
+change by at most 1 %."""
 EVEN_TOLERANCE = 1e-3 * DISCREPANCY_TIME
-"""Sample times count as evenly spaced if none differs by more [s]. The covariance is then computed
-from one row."""
+"""Sample times count as evenly spaced if each differs from even spacing by less than this [s]. The
+covariance is then computed from one row."""
 SETTLED = 1e-9
-"""Change of the state's covariance, relative to its prior, below which it counts as constant."""
+"""The covariance of the state counts as constant if its change is below this fraction of the prior
+covariance."""
 
 
 class Noise(NamedTuple):

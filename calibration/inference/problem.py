@@ -117,7 +117,7 @@ class AbstractProblem(ABC):
 
     @property
     def mesh_ratio(self) -> float:
-        """Returns the number of cells of the fine mesh, divided by that of the coarse mesh."""
+        """Returns the number of cells of the fine mesh divided by the number of the coarse mesh."""
         return 1.0
 
     @abstractmethod
@@ -153,7 +153,7 @@ class AbstractProblem(ABC):
     def coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Returns each trial's readings (k, channels, samples) with k parameter vectors.
 
-        The readings are those of the mesh that gives the tangents.
+        The simulations use the mesh that gives the tangents.
         """
         return self._cached("coarse", thetas, lambda: self._coarse(thetas))
 

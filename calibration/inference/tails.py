@@ -14,14 +14,14 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import norm, t as student
 
 MAX_FREEDOM = 10.0
-"""Noise with more degrees of freedom is treated as normal. A least-squares fit to such noise loses
-at most 6 % of the information."""
+"""Noise with at least this number of degrees of freedom is treated as normal. A least-squares fit
+to such noise loses at most 6 % of the information."""
 MIN_RATIO = 20.0
-"""Smallest doubled log-likelihood ratio of Student's t against the normal distribution. The largest
-ratio of 300 series of normal noise was 8."""
+"""Tails count as heavy only if the doubled log-likelihood ratio of Student's t against the normal
+distribution exceeds this value. The largest ratio of 300 series of normal noise was 8."""
 MAX_SQUARE = 3.0
-"""A channel whose whitened residual has a larger mean square keeps normal noise. Its large errors
-may come from a missing effect."""
+"""A channel keeps normal noise if the mean square of its whitened residual is not below this value.
+Its large errors may come from a missing effect."""
 
 
 class Tails(NamedTuple):

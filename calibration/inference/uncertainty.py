@@ -35,7 +35,7 @@ deviations, 0.35, 1.2, 0.07 and 0.12 %, are from four tanks of the independent p
 EFFECT_DISCREPANCY = 0.02
 """Relative standard deviation of an effect's parameter between two correct implementations."""
 LEAST_ERROR = 1e-6
-"""A channel does not shift parameters if its discretisation error is a smaller fraction of the
+"""A channel does not shift parameters if its discretisation error is below this fraction of its
 rms."""
 FORCES = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "force")
 FREED_TARE = 1e3

@@ -18,25 +18,28 @@ from calibration.measurements.records import Record
 from slider_jax.channels import row_of
 
 SPREAD = 4.0
-"""Increase of the variance of Ljung and Box's statistic in short series. The statistic was computed
-for 200,000 simulated series of 80 readings of white noise. With the chi-squared distribution,
-p-values below 1e-4 were 22 times too frequent."""
+"""The variance of Ljung and Box's statistic is 2 m (1 + `SPREAD` m/n) for m lags and n readings.
+The chi-squared distribution has the variance 2 m. With this distribution, p-values below 1e-4 were
+22 times too frequent in 200,000 simulated series of 80 readings of white noise."""
 FALSE_ALARM_P = 0.01
 """Probability that at least one of all series of white noise fails a test (Bonferroni)."""
 MAX_LAGS, LAG_SHARE = 20, 5
 """The number of lags in the test of Ljung and Box is the smaller of `MAX_LAGS` and the number of
 readings divided by `LAG_SHARE`."""
 MIN_CORRELATION = 0.3
-"""Smallest sum of squared autocorrelations that counts. The discrepancy model is not exact: in the
-null data sets of the independent program, the sum reaches 0.22."""
+"""A correlation counts as large only if the sum of its squared autocorrelations exceeds this value.
+The discrepancy model is not exact: in the null data sets of the independent program, the sum
+reaches 0.22."""
 MIN_LINE = 0.1
-"""Smallest share of one sine in the sum of squares that counts. In the null data sets, significant
-shares reach 0.08. A sine with this share has 0.47 times the amplitude of the white noise."""
+"""A sine counts as large only if its share of the sum of squares exceeds this value. In the null
+data sets, significant shares reach 0.08. A sine with this share has 0.47 times the amplitude of the
+white noise."""
 TRIAL_SHARE = 1.5
-"""Largest discrepancy of a single trial, divided by the discrepancy of the channel. The constant of
-the pressures is 0.2 %, and the discrepancies in single trials were up to 0.3 %."""
+"""Largest discrepancy of a single trial, divided by the discrepancy of the channel. For the
+pressures, `slider_jax/channels.py` sets the discrepancy to 0.2 % of the rms, but single trials had
+up to 0.3 %."""
 FEWEST = 40
-"""Smallest number of readings that is tested."""
+"""A series with fewer readings is not tested."""
 PADDING = 16
 """A sine is located on a grid with this many frequencies per Fourier interval."""
 
@@ -62,7 +65,8 @@ class SeriesTest(NamedTuple):
     """Amplitude of this sine in the measured minus predicted readings, in the channel's unit."""
     least_amplitude: float = 0.0
     """Amplitude of a sine whose rms is the model-discretisation discrepancy of a single trial. A
-    series does not fail because of a smaller sine, which can be part of the discrepancy."""
+    smaller sine does not make the series fail the test, because the sine can be part of the
+    discrepancy."""
 
     @property
     def correlated(self) -> bool:
@@ -84,9 +88,9 @@ def whiteness_tests(
 ) -> list[SeriesTest]:
     """Returns the tests of the whitened `residuals` of each trial (index) and channel.
 
-    `predicted` are the readings (channels, samples) of the model. `discrepancies` are those of the
-    channels, as fractions of the rms. Series with fewer than `FEWEST` readings or readings that are
-    not finite are omitted.
+    `predicted` are the readings (channels, samples) of the model. `discrepancies` are the
+    discrepancies of the channels, as fractions of the rms. The function omits series with fewer
+    than `FEWEST` readings, and series with readings that are not finite.
     """
     found = []
     for (i, channel), white in residuals.items():
@@ -109,7 +113,10 @@ def whiteness_tests(
 
 
 def sample_places(t: np.ndarray) -> np.ndarray:
-    """Returns the numbers (n,) of the samples at the times t (n,) in an evenly spaced series."""
+    """Returns the index (n,) of each sample in an evenly spaced series.
+
+    t (n,) are the times of the samples [s].
+    """
     return np.round((t - t[0]) / np.median(np.diff(t))).astype(int)
 
 
@@ -124,9 +131,9 @@ def ljung_box(x: np.ndarray, place: np.ndarray) -> tuple[float, float]:
     """Returns the size and the p-value of the correlation in a series x (n,).
 
     `place` (n,) are the sample numbers; missing numbers are gaps. The size is the sum of the
-    squared autocorrelations, minus its expectation for white noise. The p-value is that of a
-    gamma distribution with the mean m, the number of lags, and the variance 2 m (1 + `SPREAD` m/n).
-    The chi-squared distribution is the limit of long series.
+    squared autocorrelations, minus its expectation for white noise. The p-value is computed with a
+    gamma distribution. Its mean is m and its variance is 2 m (1 + `SPREAD` m/n), where m is the
+    number of lags. The chi-squared distribution is the limit of long series.
     """
     n, lags = len(x), min(MAX_LAGS, len(x) // LAG_SHARE)
     y, there = _even(x, place), np.zeros(place[-1] + 1)
@@ -155,9 +162,10 @@ def fisher_line(x: np.ndarray, place: np.ndarray) -> tuple[float, float]:
 def sine_at_peak(t: np.ndarray, raw: np.ndarray, white: np.ndarray) -> tuple[float, float]:
     """Returns frequency [Hz] and amplitude of the sine with most power in the residual `white`.
 
-    Whitening shifts a peak away from the harmonics of the drive. The frequency is therefore that of
-    the largest power in the series `raw` (n,), within half a Fourier interval of the peak. The
-    amplitude is that of the least-squares sine in `raw`, besides a constant.
+    Whitening shifts a peak away from the harmonics of the drive. The result is therefore the
+    frequency of the largest power in the series `raw` (n,), within half a Fourier interval of the
+    peak. The amplitude is that of a sine that is fitted to `raw` by least squares, together with a
+    constant.
     """
     place = sample_places(t)
     count = PADDING * (place[-1] + 1)

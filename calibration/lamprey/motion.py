@@ -112,9 +112,9 @@ def smooth_along_body(
 def choose_smoothing(midlines: Midlines) -> Smoothing:
     """Returns the wavelength and cutoff that remove only the measurement noise.
 
-    The wavelength is the longest one with a residual of at most `RESIDUAL_OVER_NOISE` times the
-    noise of the angles. The cutoff is the first frequency above the stride frequency at which the
-    power of the angles falls to `POWER_OVER_NOISE` times the noise power.
+    The wavelength is the longest of `WAVELENGTHS` with a residual of at most `RESIDUAL_OVER_NOISE`
+    times the noise of the angles. The cutoff is the first frequency above the stride frequency at
+    which the power of the angles falls to `POWER_OVER_NOISE` times the noise power.
     """
     measured, length = measured_angles(midlines), float(np.median(midlines.lengths))
     noise = float(np.median(white_noise(measured.phi)))

@@ -13,7 +13,7 @@ from slider_jax.observables import body_wave, strouhal_number, travelling_index
 EDGE_FRAMES = 3
 """Number of frames omitted at each end, where derivatives of a smoothing spline are inaccurate."""
 MIN_STRIDES = 3
-"""Smallest number of whole strides from which the spread between strides can be estimated."""
+"""With fewer whole strides, the spread between strides cannot be estimated."""
 
 
 class Strides(NamedTuple):

@@ -91,7 +91,7 @@ class Dictionary:
     ) -> list[PlaceGain]:
         """Returns the result at each place from the trials `chosen`, a part of the trials `used`.
 
-        The predicted readings are those of the outcome's fit to the trials `used`.
+        The predicted readings are taken from the outcome's fit to the trials `used`.
         """
         problem, fit = self.problem.part(chosen), self.outcome.chosen
         predicted = [fit.predicted[list(used).index(i)] for i in chosen]

@@ -43,7 +43,7 @@ class Parameter(NamedTuple):
 
 
 def model_parameters(effects: Sequence[str]) -> list[Parameter]:
-    """Returns the entries of the parameter vector: base parameters, then those of `effects`.
+    """Returns the entries of the parameter vector: first the base model, then the `effects`.
 
     The shape parameters of an effect follow the effect's other parameters.
     """

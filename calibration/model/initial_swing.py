@@ -79,9 +79,10 @@ def _along(model: Model, numerics: Numerics):
 def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
     """Returns the changes (2, channels, samples) of the readings that an initial swing causes.
 
-    The changes are those for an initial position and for an initial speed of one standard
-    deviation, linearised at the parameters `theta`. `size` is the standard deviation of the tip's
-    position [m]. A value that is not finite, for example after a failed time step, becomes 0.
+    The first change is due to an initial position, and the second change to an initial speed. Each
+    is one standard deviation. The changes are linearised at the parameters `theta`. `size` is the
+    standard deviation of the tip's position [m]. A value that is not finite, for example after a
+    failed time step, becomes 0.
     """
     d_carry, frequency = _along(p.extended.at(jnp.asarray(theta)), p.numerics)
     initial = np.zeros((DIRECTIONS, len(CHANNELS)))

@@ -65,7 +65,7 @@ class Resolution:
 FINE = Resolution(101, 200, 2.0e-3)
 """Resolution for residuals. With only 51 nodes, a fit returns a tail that is 2.5 % too soft."""
 COARSE = Resolution(31, 80, 4.0e-3)
-"""Resolution for tangents. The allowed error of tangents is ten times that of residuals."""
+"""Resolution for tangents, whose allowed error is ten times the allowed error of residuals."""
 
 
 @dataclass(frozen=True)
@@ -403,7 +403,7 @@ def _with_pressures(p: np.ndarray) -> np.ndarray:
 def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Returns tangents (k, channels, samples) of the readings along `directions` (k, entries).
 
-    The pressures' tangents are interpolated between time steps, like those of the other channels.
+    The tangents of all channels, also of the pressures, are interpolated between time steps.
     """
 
     def along(d):

@@ -10,7 +10,8 @@ from calibration.pressure_logs.read import ManifoldLog, psi
 
 HARMONICS = 5
 SMOOTH = 12
-"""Number of harmonics that describe the part of the residual that repeats in every cycle."""
+"""Numbers of harmonics: `HARMONICS` are reported. `SMOOTH` describe the part of the residual that
+repeats in every cycle."""
 
 
 class FrequencyResponse(NamedTuple):

@@ -25,17 +25,19 @@ from slider_jax.experiment.schema import SensorsTable
 REFERENCE, THRESHOLD = 2.0, 6.0
 """Reference value and threshold of the CUSUM, in standard deviations (see `run_length`)."""
 MAX_DEVIATION = 5.0
-"""Largest deviation that the CUSUM adds for one window, so that an alarm needs three windows."""
+"""A larger deviation of a window counts as this value, so that an alarm needs three windows."""
 MIN_SPREAD = 0.25
-"""Smallest standard deviation of the logarithm. An estimate from few windows may be too small."""
+"""This value replaces a smaller standard deviation of the logarithm. An estimate from few windows
+may be too small."""
 MAX_LEARNED_SHARE = (0.1, 0.1, 0.4, 0.4, 0.2)
 """Largest learned `share` of each channel. A larger residual indicates a wrong model."""
 MAX_MISFIT = (0.04, 0.04, 0.25, 0.12, 0.12)
-"""Largest relative residual (rms/S) of each channel in the first windows that is not reported as a
-misfit. With a calibrated model, the relative residual is 0.01 for the pressures, 0.15 for thrust,
-0.05 for recoil and tip. With a leak of a fifth of a valve's flow, it is 0.09 for the pressure."""
+"""If the relative residual (rms/S) of a channel in the first windows exceeds this value, a misfit
+is reported. With a calibrated model, the relative residual is 0.01 for the pressures, 0.15 for
+thrust, 0.05 for recoil and tip. With a leak of a fifth of a valve's flow, it is 0.09 for the
+pressure."""
 MIN_SAMPLES = 10
-"""Smallest number of readings in a window with which a channel is tested."""
+"""A channel is not tested in a window with fewer readings."""
 MIN_NOISE = 1e-9
 """Smallest noise of a channel, divided by S. A simulated stream may have no noise."""
 EVIDENCE_RETENTION = 0.5
@@ -56,7 +58,7 @@ def run_length(reference: float, threshold: float, shift: float = 0.0) -> float:
 
 
 class Window(NamedTuple):
-    """The data of some consecutive blocks. The channels are those of `BUILT_IN`."""
+    """The data of some consecutive blocks, with the channels `BUILT_IN`."""
 
     residual: np.ndarray
     """Measured minus predicted readings (channels, n). A residual that is not tested is NaN."""

@@ -35,12 +35,14 @@ At 500 Hz, 100 samples are 0.2 s, which is longer than any dead time or filter o
 
 
 class ChamberFault(Flow):
-    """A fault of the chambers' pneumatics; `leak` and `shut` (2,) are for the sides 1 and -1.
+    """A fault of the chambers' pneumatics.
 
         dp/dt = (1 - shut) (p_set - p)/(slower k) - leak p/k
 
     `shut` is the blocked fraction of the valve and applies only while |p| increases. `leak` is the
-    conductance of the leak divided by that of the valve. `slower` is a factor on k.
+    conductance of the leak divided by the conductance of the valve. `slower` is a factor on k.
+    `leak` and `shut` (2,) have one value for each side of the robot: first left (side 1), then
+    right (side -1).
     """
 
     leak: Float[Array, "2"]
@@ -53,7 +55,7 @@ class ChamberFault(Flow):
 
 
 class FaultHypothesis(NamedTuple):
-    """A possible fault with the given `size` on side 1 or -1 of the robot, or on both sides (0)."""
+    """A possible fault with the given `size` on the left side (1), right side (-1) or both (0)."""
 
     cause: str
     side: int
@@ -221,7 +223,12 @@ def _extrapolated(state: BlockState, values) -> BlockState:
 
 
 def _pressures(layout: BlockLayout, model: Model, state: BlockState, at, measured):
-    """Returns state; p, dp/dk (samples, 2); sensed (samples+1, 2); faulty (samples, faults, 2)."""
+    """Returns the new state and four series of chamber pressures [Pa].
+
+    The first series p (samples, 2) are the pressures of the lag model. The second series
+    (samples, 2) is dp/dk. The third series (samples + 1, 2) drives the body. The fourth series
+    (samples, faults, 2) are the pressures with each of `FAULT_HYPOTHESES`.
+    """
     flows, law = of_place(model.effects, Flow), model.pressure_law
     faults = jax.tree.map(lambda *x: jnp.stack(x), *(x.effect for x in FAULT_HYPOTHESES))
 
@@ -253,7 +260,10 @@ def _save(x: Snapshot):
 
 
 def _body(layout: BlockLayout, model: Model, state: BlockState, t0):
-    """Returns the state; thrust, recoil, tip (samples, 3); and derivatives (bodies, samples, 3)."""
+    """Returns the new state, the readings (samples, 3) of thrust, recoil and tip, and derivatives.
+
+    The derivatives (parameters, samples, 3) are with respect to all `PARAMETERS` except k.
+    """
     times = TimeGrid(
         jnp.asarray(layout.period * layout.per_step), layout.samples // layout.per_step, t0
     )
@@ -294,7 +304,10 @@ def _body(layout: BlockLayout, model: Model, state: BlockState, t0):
 
 
 def _instruments(layout: BlockLayout, model: Model, state: BlockState, at, true, d_true):
-    """Returns state, readings of `true` (samples, channels), and derivatives of the readings."""
+    """Returns the new state, the recorded readings, and the derivatives of the recorded readings.
+
+    `true` (samples, channels) are the true readings, and `d_true` are their derivatives.
+    """
     past = len(state.past)
     series = jnp.concatenate([state.past, true])
     d_series = jnp.concatenate([state.d_past, d_true], axis=1)

@@ -63,7 +63,8 @@ class RecursiveEstimator:
 
     @property
     def estimate(self) -> ParameterEstimate:
-        """Value and standard deviation. The deviation is at least that of white noise alone."""
+        """Value and standard deviation. The deviation is at least the deviation by white
+        noise alone."""
         if self.windows < 4:
             return ParameterEstimate(self.value, self.prior)
         cc, cH, HH = self._squares

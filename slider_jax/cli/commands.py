@@ -61,7 +61,7 @@ COMMANDS = {
     ),
     "published": Subcommand(
         "calibration.cli.published:published",
-        "compares the published swimming speeds with those that the paper's equations give",
+        "compares the published swimming speeds with speeds from the paper's equations",
     ),
     "effects matrix": Subcommand(
         "calibration.cli.effects_matrix:effects_matrix",

@@ -34,7 +34,7 @@ PHASES = 16
 PERIODS = 5
 """Longest period [strides] of a motion that repeats; lightly damped swings have long periods."""
 REPEATS = 3e-2
-"""Largest difference between the rises of strides that repeat, as a fraction of the mean rise."""
+"""Strides repeat if their rises differ by less than this fraction of the mean rise."""
 MESH, STEP = 31, 5e-3
 """Largest number of nodes and longest time step [s] for the comparison of pin phases."""
 

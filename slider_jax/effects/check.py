@@ -174,7 +174,7 @@ PLACE_NAMES = ", ".join(place.__name__ for place in PLACES)
 
 
 def defined_effects(module: object) -> list[type[Effect]]:
-    """Returns the effect classes that `module` defines, also abstract ones."""
+    """Returns the effect classes that `module` defines, including abstract classes."""
     kinds = [x for x in vars(module).values() if isinstance(x, type) and issubclass(x, Effect)]
     return list(dict.fromkeys(x for x in kinds if x.__module__ == vars(module)["__name__"]))
 
@@ -313,7 +313,7 @@ def _check_numbers(
 ) -> None:
     """Checks values and derivatives. `response` takes the parameters and a factor of the motion.
 
-    The parameters are those of `kind.priors()`, and then those of `kind.shapes()`.
+    The parameters are in the order of `kind.priors()`, followed by `kind.shapes()`.
     """
     priors, shapes = list(kind.priors().values()), list(kind.shapes().values())
     null = np.array([x.null for x in priors + shapes])

@@ -25,7 +25,7 @@ ENTRY_POINTS = "slider_jax.effects"
 
 
 def _built_in() -> dict[str, type[Effect]]:
-    """Returns the effects of this package by name, also those that every model contains."""
+    """Returns the effects of this package by name, including effects of every model."""
     found = [m.name for m in walk_packages(effects.__path__, f"{effects.__name__}.")]
     modules = [importlib.import_module(name) for name in found if name != __name__]
     kinds = [kind for module in modules for kind in defined_effects(module) if is_complete(kind)]
@@ -41,7 +41,7 @@ DICTIONARY: dict[str, type[Effect]] = {
 LIBRARY: dict[str, type[Effect]] = {
     k: x for k, x in _BUILT_IN.items() if not x.in_every_model and k not in DICTIONARY
 }
-"""The physical effects by name, also those of the user's files."""
+"""The physical effects by name, including the effects of the user's files."""
 KNOWN_EFFECTS = ChainMap(LIBRARY, DICTIONARY)
 """All effects that a model file may contain, by name."""
 _HOMES = dict.fromkeys(_BUILT_IN, "slider_jax")

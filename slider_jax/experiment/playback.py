@@ -83,7 +83,11 @@ def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _held(t: np.ndarray, values: np.ndarray) -> Held:
-    """Returns a wave without repeated values, because `Held` allows one sample in a time step."""
+    """Returns a wave without samples that repeat the previous value.
+
+    `Held` considers only one sample in each time step, so a repeated value could hide a switch in
+    the same step. Only the padding at the end repeats a value.
+    """
     kept = np.concatenate([[True], np.diff(values) != 0.0])
     t, values = t[kept], values[kept]
     rows = max(LEAST_ROWS, 1 << int(np.ceil(np.log2(len(t) + 1))))

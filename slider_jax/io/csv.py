@@ -13,7 +13,7 @@ from slider_jax.io.toml import read_bytes
 def read_csv(
     path: Path, required: Sequence[str], blank: Sequence[str] = (), increasing: str = "time"
 ) -> dict[str, np.ndarray]:
-    """Returns the columns as `read_table` does, and checks that the first `required` one increases.
+    """Returns the columns as `read_table` does, and checks that the column `required[0]` increases.
 
     `increasing` names the column's quantity in errors. Raises `InputError` with file and line.
     """

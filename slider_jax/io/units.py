@@ -27,7 +27,7 @@ class Quantity:
     """A number in [low, high]: `Annotated[float, Quantity(low, high, unit)]` in a pydantic model.
 
     With `or_zero`, exactly 0 is also allowed. The range detects a wrong unit (millimetres, grams,
-    kPa): the range contains all plausible values, but few that are wrong by a factor of 1000.
+    kPa): the range contains all plausible values, but few values with an error by a factor of 1000.
     """
 
     low: float

@@ -109,7 +109,7 @@ def search_fastest(
     resume: bool = False,
     on_generation: Callable[[Generation, float], None] = lambda generation, seconds: None,
 ) -> OptimisationResult:
-    """Returns the fastest gait and tail; the arguments are those of `run_optimiser`.
+    """Returns the fastest gait and tail; the arguments are as in `run_optimiser`.
 
     Raises `SolverError` if no individual of any generation has a steady speed.
     """

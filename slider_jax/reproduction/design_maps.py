@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 BEST_PHASE, TOLERANCE = 0.15, 0.05
-"""The paper's best phase of short tails, and the largest difference from this phase that counts as
-agreement, both as fractions of a period."""
+"""The paper's best phase of short tails, and the allowed difference from this phase. Both are
+fractions of a period."""
 MARKED = (0.0, 0.2, 0.5)
 """Phases of the three points that the paper compares, as fractions of a period."""
 MARKED_LENGTH = 0.06

@@ -25,7 +25,7 @@ SHOWN_FREQUENCIES = (1.0, 4.8)
 
 
 class FrequencySweepSettings(eqx.Module):
-    """Settings of the sweep; the defaults are those of `slider demo`.
+    """Settings of the sweep. The command `slider demo` uses the defaults.
 
     With 400 or 500 instead of 300 steps per stride, the mean thrusts change by at most 0.02 mN.
     Steps per stride must be a multiple of 20: a time step then ends at each pressure step and pose.

@@ -24,7 +24,7 @@ from slider_jax.swimming.steady_state import SteadySettings
 
 K_Q_OF_THE_TIP = 1.623e-6
 """K_Q [m^3] with which 45 kPa in both chambers move the tip by 102 mm, as the paper states. This
-K_Q is 3.4 times that of the paper's moment of 175 mN m at 365 kPa."""
+K_Q is 3.4 times the K_Q that follows from the paper's moment of 175 mN m at 365 kPa."""
 TRANSIENT_STRIDES, MEAN_STRIDES = 12, 4
 """With a clamped head: number of first strides to skip, number of next strides to average."""
 

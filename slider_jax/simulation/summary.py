@@ -25,7 +25,7 @@ DEFINITIONS = {
 }
 
 STEADY, STEADY_THRUST = 0.01, 1e-3
-"""Largest difference between two strides that agree: as a fraction, or as a mean thrust [N]."""
+"""Allowed differences of two strides: as a fraction of a quantity, and as a mean thrust [N]."""
 
 
 def averaging_window(run: TrialRun) -> tuple[slice, int]:

@@ -86,9 +86,11 @@ def _seen(model: Model, frequency, carry: Carry, search: SteadySettings):
 def _from_rest(
     model: Model, f: jax.Array, search: SteadySettings, least: int, most: int
 ) -> tuple[np.ndarray, MeanMotion, Carry, bool]:
-    """Returns speeds [m/s] every ten strides, last motion, final state, and if strides repeat.
+    """Simulates swimming from rest.
 
-    The simulation takes `least` to `most` strides and ends early if strides repeat.
+    Returns the speed [m/s] after every tenth stride, the last motion, the final state, and whether
+    strides repeat. The simulation takes `least` to `most` strides and ends early if strides
+    repeat.
     """
     carry, speeds = at_rest(model, search.numerics), []
     while True:

@@ -42,7 +42,7 @@ class SteadySettings(NamedTuple):
     corrections: int = 7
     """Number of secant steps."""
     second: float = 0.15
-    """Second speed [m/s] of the secant method; the first speed is that after `settling` strides."""
+    """Second speed [m/s] of the secant method. The first is the speed after `settling` strides."""
     largest: float = 0.3
     """Largest change of the speed in one secant step [m/s]."""
     steps_per_stride: int = 96

@@ -1,4 +1,4 @@
-"""A body whose stiffness differs by side."""
+"""A body whose stiffness differs between bending to the left and to the right."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, parameter
@@ -19,7 +19,7 @@ class SideStiffness(BendingMoment):
     15, 16-23.
     """
 
-    title = "the body's stiffness differs by side"
+    title = "the body's stiffness differs between bending to the left and to the right"
     order = 730
     segments = ("body",)
 

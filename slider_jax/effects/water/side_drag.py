@@ -1,4 +1,4 @@
-"""Drag that differs by side."""
+"""Drag that differs between motion to the left and to the right."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ class SideDrag(ForceDensity):
     without symmetry, Hoerner, S. F. (1965), Fluid-Dynamic Drag, ch. 3.
     """
 
-    title = "the drag differs by side"
+    title = "the drag differs between motion to the left and to the right"
     order = 820
 
     C: Scalar = parameter(
