@@ -43,7 +43,7 @@ def close_loop(
     from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import error_lines, loop_model_toml, parameter_lines
     from calibration.inference.cache import input_settings, resumable
-    from calibration.learning.report import learned_model_toml, learned_parts
+    from calibration.learning.report import learned_lines, learned_model_toml, learned_parts
     from slider_jax.experiment.load import Experiment, load
     from slider_jax.io.files import staged, write_json, write_text
 
@@ -70,7 +70,8 @@ def close_loop(
                 shown = learned_parts(record["learned"])
             write_text(stage / "model.toml", model_toml)
             write_text(stage / "report.html", loop_page(outcome, record, shown))
-    print("\n".join([record["said"], *parameter_lines(record), *error_lines(record)]))
+    lines = [*parameter_lines(record), *error_lines(record), *learned_lines(record)]
+    print("\n".join([record["said"], *lines]))
     if record["next_experiment"]:
         print(f"Next: {record['next_experiment']['said']}")
     print(f"report.html, report.json and model.toml are in {out}", file=sys.stderr)

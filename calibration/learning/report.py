@@ -200,6 +200,20 @@ def learned_figure(record: dict[str, Any]):
     return figure
 
 
+def learned_lines(record: dict[str, Any]) -> list[str]:
+    """Returns a line for each channel's error without and with the function, in the tested trials.
+
+    `record` is the content of report.json. The model file contains the function, and the other
+    printed errors are those of the model without it.
+    """
+    learned = record["learned"] or {}
+    return [
+        f"{c}, with the learned function: rms {x['before']:.3g} without, {x['after']:.3g} with, "
+        f"noise floor {x['floor']:.3g} {record['units'][c]}"
+        for c, x in learned.get("errors", {}).items()
+    ]
+
+
 def learned_errors(record: dict[str, Any]) -> list[list[str]]:
     """Returns a row for each channel with the errors without and with the function."""
     rows = []

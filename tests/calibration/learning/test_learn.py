@@ -12,6 +12,7 @@ from calibration.discrepancy.report import loop_record
 from calibration.experiment_design.trial_search import SearchEffort
 from calibration.learning.learn import learn_terms
 from calibration.learning.report import (
+    learned_lines,
     learned_model_toml,
     learned_parts,
     learned_record,
@@ -75,6 +76,10 @@ def test_the_report_states_the_function_and_the_model_file_contains_it(learned, 
     for channel in ("p_front", "p_rear"):
         x = record["learned"]["errors"][channel]
         assert x["excess_removed"] > 0.8 and x["before"] > 2.0 * x["floor"]
+    front = next(x for x in learned_lines(record) if x.startswith("p_front"))
+    error = record["learned"]["errors"]["p_front"]
+    assert f"rms {error['before']:.3g} without, {error['after']:.3g} with" in front
+    assert learned_lines(record | {"learned": None}) == []
     (curve,) = record["learned"]["curves"]
     p, low, high = (np.array(curve[key]) for key in ("state", "low", "high"))
     true = -SHARE * (p / 250e3) ** 2 / BASE["k"]
