@@ -8,6 +8,7 @@ import pytest
 from calibration.discrepancy.close_loop import close_loop_on_trials
 from calibration.discrepancy.page import loop_page
 from calibration.discrepancy.report import loop_record
+from calibration.model.extended import BASE
 from slider_jax.channels import CHANNELS
 from slider_jax.experiment.load import assemble
 from slider_jax.experiment.prepare import prepare
@@ -32,8 +33,8 @@ def heavy(rng, n):
     return rng.standard_t(3, size=n) / np.sqrt(3.0)
 
 
-def outcome(folder, shape=normal, declared=1.0, hum=0.0, late=1.0):
-    """Returns the loop's outcome for trials of 1 s without a missing effect.
+def outcome(folder, shape=normal, declared=1.0, hum=0.0, late=1.0, sensors=tuple(CHANNELS)):
+    """Returns the loop's outcome for trials of 1 s without a missing effect, with these `sensors`.
 
     The declared noise is multiplied by `declared`. `hum` is the amplitude [N] of a sine of 13 Hz in
     the thrust of trial 2. `late` multiplies m_a in the last three trials.
@@ -54,7 +55,8 @@ def outcome(folder, shape=normal, declared=1.0, hum=0.0, late=1.0):
             noisy = x + tank.NOISE[name] * shape(rng, len(t))
             if name == "thrust" and number == 2:
                 noisy = noisy + hum * np.sin(2.0 * np.pi * 13.0 * t + 1.0)
-            columns[channel.column] = noisy
+            if name in sensors:
+                columns[channel.column] = noisy
         write_csv(folder / trial.file, columns)
     return close_loop_on_trials(experiment, (), fine=tank.MESH, coarse=tank.MESH)
 
@@ -118,3 +120,23 @@ def test_a_parameter_that_changes_between_trials_is_reported(tmp_path):
     assert x.second / x.first == pytest.approx(1.2, abs=0.05)
     record, page = report(found)
     assert "m_a is 0.69" in record["said"] and "m_a is 0.69" in page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sensors", "undetermined"),
+    [
+        (("tip",), {"C_d", "m_a", "K_Q"}),
+        (("p_front", "p_rear", "tip"), {"C_d", "m_a", "K_Q"}),
+        (("thrust", "recoil"), set()),
+        (("p_front",), {"C_d", "m_a", "K_Q"}),
+    ],
+)
+def test_any_subset_of_the_sensors_is_enough(tmp_path, sensors, undetermined):
+    found = outcome(tmp_path, sensors=sensors)
+    assert found.verdict == "nothing_missing" and set(found.excess) == set(sensors)
+    record, _ = report(found)
+    for name, value in zip(("C_d", "m_a", "k", "K_Q"), THETA, strict=True):
+        x, prior = record["parameters"][name], BASE[name]
+        whole = x["low"] <= prior.low and x["high"] >= prior.high
+        assert x["low"] < value < x["high"] and whole == (name in undetermined), name
