@@ -135,8 +135,8 @@ for trial in summaries:
 # The recording contains every received byte with its time of arrival. The next cell decodes the
 # messages again and compares the clock of the manifold with the clock of the computer. A straight
 # line converts times of the manifold to times of the computer. In the upper plot, a delay of zero
-# means that a message arrived when the line predicts. Points above zero are messages that arrived
-# later. The lower plot shows the recorded pressures.
+# means that a message arrived exactly at the time that the line predicts. Points above zero are
+# messages that arrived later. The lower plot shows the recorded pressures.
 
 # %%
 stream = read_recording(measured / "recordings" / f"{trials[0].name}.h5").streams["manifold"]

@@ -154,7 +154,7 @@ def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
 
 
 def identifiable_parameters(shapes: Sequence[Shapes]) -> list[str]:
-    """Returns the parameters that tables of the kinds in `shapes` can identify.
+    """Returns the names of the parameters that can be identified from the tables `shapes`.
 
     The tip's displacement under a load on the whole robot identifies only one stiffness, EI_body.
     EI_tail needs the joint's displacement, or a table for the tail alone.

@@ -189,8 +189,9 @@ def _ring_down(folder: Path, x: RingDownTable, robot: RobotTable) -> RingDown:
     if np.abs(spacing - np.median(spacing)).max() > 0.05 * np.median(spacing):
         worst = int(np.argmax(np.abs(spacing - np.median(spacing))))
         raise InputError(
-            f"{path}: samples are {np.median(spacing):.4g} s apart, but the next sample is "
-            f"{spacing[worst]:.4g} s after t_s = {t[worst]:g}; cut the record there or record again"
+            f"{path}: most samples are {np.median(spacing):.4g} s apart, but the sample after "
+            f"t_s = {t[worst]:g} follows {spacing[worst]:.4g} s later; cut the record there or "
+            "record again"
         )
     if t[0] < 0.0:
         raise InputError.value(f"{path}, column t_s", f"{t[0]:g}", "0 or more", "0 is the release")
@@ -225,5 +226,6 @@ def _same_way(path: Path, load: np.ndarray, tip: np.ndarray, name: str) -> None:
     slope = float(np.sum((load - load.mean()) * (tip - tip.mean())))
     if slope <= 0.0:
         raise InputError(
-            f"{path}: tip_m decreases where {name} increases; use one direction for both columns"
+            f"{path}: tip_m decreases as {name} increases; use the same positive direction in both "
+            "columns"
         )

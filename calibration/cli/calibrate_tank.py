@@ -42,7 +42,8 @@ def tank(
         each: names of the parameters that may differ between frequencies (default: C_d m_a).
         method: lm (Gauss-Newton with step shortening), lbfgs (L-BFGS), or auto (lbfgs for 12
             parameters or more, otherwise lm).
-        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
+            its [[effects]] are added.
     """
     from calibration.identification.identify import (
         check_names,

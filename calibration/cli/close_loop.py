@@ -38,7 +38,8 @@ def close_loop(
         out: folder for the results; created if missing. Files of the same name are replaced.
         only: names of the candidate effects (default: the whole library).
         without: names of effects that are not candidates (default: none).
-        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
+            its [[effects]] are added.
     """
     from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import error_lines, loop_model_toml, parameter_lines

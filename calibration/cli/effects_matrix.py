@@ -42,7 +42,8 @@ def effects_matrix(
         phase: lowest and highest phase of the rear chamber, as a fraction of a period (default: as
             for frequency).
         tow_speed: lowest and highest tow speed, in m/s (default: as for frequency).
-        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
+            its [[effects]] are added.
     """
     from calibration.experiment_design.detectability import detectability_matrix
     from calibration.experiment_design.detectability_report import (

@@ -41,7 +41,8 @@ def edge_parameters(
 ) -> list[int]:
     """Returns the indices of fitted parameters of `effects` that are at an edge of their range.
 
-    A parameter that is not used in the score of its effect counts only if the data determine it.
+    If the score of an effect does not use a parameter, the function returns this parameter only if
+    the data determine it.
     """
     scored = {i for group in scoring_entries(entries).values() for i in group}
     found = []

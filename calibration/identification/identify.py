@@ -97,7 +97,9 @@ def identify_parameters(
         method = "lbfgs" if len(entries) >= LBFGS_PARAMETERS else "lm"
     strengths = np.flatnonzero([not p.is_shape for p in entries])
     best = METHODS[method](problem, entries, initial, strengths, progress)
-    if len(strengths) < len(entries):  # the size of an effect determines how its shape acts
+    # A shape parameter has no influence while its effect is at the null, so the other parameters
+    # are fitted first.
+    if len(strengths) < len(entries):
         best = METHODS[method](problem, entries, best.theta, np.arange(len(entries)), progress)
     best = hausman_check(problem, entries, best)
     proposals = propose_trials(experiment, entries, problem, best, coarse, progress)

@@ -1,21 +1,34 @@
 """Measures the model-discretisation discrepancy of each channel from a fit.
 
-The discrepancy has two parts. The first part is the model's own discretisation error, which is
-extrapolated from the readings of two meshes (Richardson, L. F. (1911), Phil. Trans. R. Soc. A 210,
-307-357). This error is the lower limit of the discrepancy. The second part is the error of the data
-that repeats in each stride. Its size maximises the likelihood of the residual.
+The discrepancy of a channel is a fraction of the channel's predicted readings. If the experiment
+declares no discrepancy, the larger of two estimates is used.
 
-The repeating error of a trial is s S times a linear combination of the curves B, where S is the rms
-of the predicted readings. The coefficients are normal and independent. The curves have the
-correlation of `noise.discrepancy_correlation` between phases of the stride. Let W whiten all other
-noise. Let g be the eigenvalues of S^2 (W B) (W B)^T. Along the eigenvectors, the whitened residual
-has the independent components z:
+The first estimate is the model's own discretisation error. It is extrapolated from the readings of
+two meshes (Richardson, L. F. (1911), Phil. Trans. R. Soc. A 210, 307-357). This error is the lower
+limit of the discrepancy.
+
+The second estimate is the size of the error that repeats in each stride. It follows from the
+residual by maximum likelihood. With the symbols
+
+    s     estimated discrepancy,
+    S     standard deviation of the predicted readings of a trial,
+    B_j   curves over the stride, which repeat in each stride,
+
+the repeating error of a trial is s S times the sum of c_j B_j. The coefficients c_j are independent
+normal variables of unit variance. The curves B_j are scaled so that the error has the correlation
+of `noise.discrepancy_correlation` between phases of the stride.
+
+The matrix W whitens all noise except the repeating error. The rows of B are the curves B_j at the
+times of the readings. Let g be the eigenvalues of S^2 (B W^T) (B W^T)^T, and z the components of
+the whitened residual along the corresponding directions. The components are independent, and the
+deviance D of the trial is
 
     variance of z_k = 1 + s^2 g_k,    D(s) = sum of log(1 + s^2 g_k) + z_k^2 / (1 + s^2 g_k)
 
-The deviance D is summed over the trials of the channel, and the measured s minimises D. The loop
-uses the largest s whose deviance exceeds the minimum by at most `DEVIANCE`. The noise model then
-never assumes a smaller discrepancy than these data can prove.
+The deviance is summed over the trials of the channel, and the measured s minimises this sum. The
+noise model does not use the measured s but the largest s whose deviance exceeds the minimum by at
+most `DEVIANCE`. This s is the upper end of the one-standard-error interval. The noise model is
+therefore more likely to overestimate the discrepancy than to underestimate it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,27 +47,31 @@ from calibration.inference.problem import AbstractProblem
 from slider_jax.channels import BUILT_IN, CHANNELS, row_of
 
 ORDER = 2
-"""Order of convergence with the number of cells and steps. In sixteen trials, the extrapolated
-error of a channel is 0.66 to 1.2 times the error found with twice the cells and steps."""
+"""Order of convergence of the readings with the number of cells and time steps. In sixteen trials,
+the extrapolated error of a channel was 0.66 to 1.2 times the error that was found by a simulation
+with twice the cells and time steps."""
 PHASE_STEP = 0.5 * DISCREPANCY_TIME
-"""Width of the steps of the curves B [s]."""
+"""The curves B are piecewise constant in time. Approximate duration of a constant piece [s]."""
 LONGEST_STRIDE = 2.56
 """If a trial's drive has no frequency or a longer period, only this duration [s] is examined."""
 MOST_READINGS = 2600
 """At most this number of readings of a trial is examined."""
 DEVIANCE = 1.0
-"""Increase of the deviance at one standard error."""
+"""Increase of the deviance above its minimum, at one standard error from the measured s. The
+deviance is minus twice the log-likelihood, apart from a constant."""
 GRID = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 241)])
-"""Values of s that are compared, divided by the constant of the channel; steps of 3 %."""
+"""Values of s at which the deviance is computed, as fractions of the channel's largest discrepancy
+(`Channel.discrepancy`): 0, then 0.001 to 1 in steps of 3 %."""
 LEAST_MODE = 1e-2
-"""A component of unit variance is omitted if the largest possible discrepancy increases the
-variance by at most this value."""
+"""Without a repeating error, each component has unit variance. A component is omitted if the
+channel's largest discrepancy increases this variance by at most this value."""
 CONSTANT = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "pressure")
 """Channels whose discrepancy is not measured. Both meshes have the same pressures, so there is no
 lower limit. Errors of the pressures may also have a period of several strides. With time steps of
 0.2 ms at 6 Hz, for example, the period is three strides."""
 LEAST_FALL = 0.2
-"""The discrepancies in the noise are replaced if a new one is smaller by this fraction."""
+"""The loop repeats the fit with the measured discrepancies if the new discrepancy of a channel is
+smaller than its discrepancy in the noise model by more than this fraction."""
 
 
 class Discrepancy(NamedTuple):
@@ -62,11 +79,14 @@ class Discrepancy(NamedTuple):
 
     declared: float | None
     lower_limit: float
-    """Discretisation error of the model, extrapolated from two meshes."""
+    """Lower limit: the model's own discretisation error, extrapolated from two meshes."""
     measured: float | None
-    """Size of the error of the data that repeats in each stride. None: it is not measured."""
+    """Most likely size of the error that repeats in each stride, measured from the residual. None:
+    no residual of this channel was used."""
     used: float
-    """Declared value, or else the measured value plus one standard error, within its limits."""
+    """Declared value. If no value is declared: the upper end of the one-standard-error interval of
+    the measured value, or `lower_limit` if this is larger. Without a measured value, the channel's
+    largest discrepancy (`Channel.discrepancy`) replaces the end of the interval."""
 
 
 class SeriesError(NamedTuple):
@@ -79,7 +99,7 @@ class SeriesError(NamedTuple):
     modes: np.ndarray
     """Eigenvectors (k, n) of unit length, in the space of whitened readings."""
     sizes: np.ndarray
-    """Eigenvalues (k,): variance of a component for a discrepancy of 1."""
+    """Eigenvalues g (k,): increase of a component's variance by a discrepancy of 1."""
 
     def components(self, residual: np.ndarray) -> np.ndarray:
         """Returns the components z (k,) of a residual (n,)."""

@@ -51,7 +51,8 @@ def rig_simulate(
         experiment: experiment file whose robot, water and effects are simulated (default: a tail
             in air).
         rig_file: file to which the command writes the rig file, for `slider rig run --rig`.
-        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
+            its [[effects]] are added.
         flipped: fraction of the bytes on the serial line with a flipped bit, 0 to 0.5.
         dropped: fraction of the bytes on the serial line that are lost, 0 to 0.5.
         noise: standard deviation of the measured pressures, in Pa.

@@ -66,8 +66,8 @@ def rig_watch(
         experiment: experiment file of the robot.
         port: serial port of the manifold; `slider rig ports` lists all serial ports.
         rig: TOML file of the rig: limits, command rate and sensors.
-        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's, for
-            example from `slider calibrate`.
+        model: TOML file, for example from `slider calibrate`. Its keys of [robot] and [parameters]
+            replace the experiment's keys, and its [[effects]] are added.
         trial: number of the trial whose drive is played, counted from 0.
         seconds: duration of the drive, in s (default: the trial's duration).
         out: folder for watch.json and watch.csv, with one row per block of readings; created if

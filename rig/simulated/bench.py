@@ -16,7 +16,8 @@ from rig.simulated.terminal import Terminal
 
 MADE_UP = "The rig that `slider rig simulate` made up"
 LEAD_US = 5
-"""Force records are sampled this time before a step of the tank [us], because times are rounded."""
+"""Time [us] by which the first force record precedes a step of the tank. Without this margin,
+rounding could move the record to after the step, and the record would wait for the next step."""
 MAX_TANK_WAIT = 0.2
 """Longest time for which a force record waits for the tank's state [s]."""
 

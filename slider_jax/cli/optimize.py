@@ -23,7 +23,8 @@ class SearchOptions:
         experiment: experiment file (.toml) with the properties of robot and water that are not
             optimised. The first trial must have a square wave (default: the paper's robot, with
             the head's form drag fitted to the measured speed).
-        model: TOML file. Its [robot] and [parameters] override EXPERIMENT; [[effects]] are added.
+        model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
+            its [[effects]] are added.
         population: number of individuals in a generation. In `multimodal`, an optimisation that
             starts from a known design uses a quarter of this number.
         generations: total number of generations, including generations before an interruption. In

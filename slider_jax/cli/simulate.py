@@ -32,7 +32,8 @@ def simulate(
     Args:
         input: experiment file (.toml), or pressure log of the rig (any other suffix).
         out: folder for the results; created if missing. Existing files are replaced.
-        model: TOML file. Its [robot] and [parameters] override EXPERIMENT; [[effects]] are added.
+        model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
+            its [[effects]] are added.
         plot: also draw the simulated and measured time series and the midlines of each trial (PNG).
         animate: also draw the last two strides of each trial as a film (GIF).
         step: longest time step, in s; only for an experiment (default: numerics.step of the file,

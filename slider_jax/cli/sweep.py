@@ -50,7 +50,8 @@ def sweep(
         start2: first value of the second field, in SI units (required with --field2).
         stop2: last value of the second field, in SI units (required with --field2).
         count2: number of evenly spaced values of the second field (required with --field2).
-        model: TOML file. Its [robot] and [parameters] override EXPERIMENT; [[effects]] are added.
+        model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
+            its [[effects]] are added.
         trial: number of the trial to simulate, counted from 0 (default: N if a field begins with
             trials.N, otherwise 0).
         strides: number of strides to simulate.

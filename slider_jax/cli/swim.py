@@ -35,7 +35,8 @@ def swim(
         experiment: experiment file (.toml); towing and heaving of the trials are ignored (default:
             the paper's optimum, with the head's form drag fitted to the measured speed).
         out: folder for the results; created if missing. Existing files are replaced.
-        model: TOML file. Its [robot] and [parameters] override EXPERIMENT; [[effects]] are added.
+        model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
+            its [[effects]] are added.
         trial: number of the trial to simulate, counted from 0 (default: all trials).
     """
     from slider_jax.swimming.free_swim import free_swimmer, simulate_free_swim, swim_record
@@ -78,7 +79,8 @@ def climb(
         experiment: experiment file (.toml); towing, heaving and water are ignored (default: the
             built-in robot at 2 Hz).
         out: folder for the results; created if missing. Existing files are replaced.
-        model: TOML file. Its [robot] and [parameters] override EXPERIMENT; [[effects]] are added.
+        model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
+            its [[effects]] are added.
         trial: number of the trial to simulate, counted from 0 (default: all trials).
         pin_phase: delay from the positive step of the front chamber's set pressure until the left
             end is pinned, as a fraction of a period. The right end is pinned half a period later

@@ -60,7 +60,10 @@ def climb_summary(run: ClimbRun) -> list[str]:
 
 
 def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
-    """Returns CSV columns of the last strides; x points up, the origin is the first `centre`."""
+    """Returns CSV columns of the last strides.
+
+    x points up. The origin is the centre of mass at the first time step of these strides.
+    """
     x, steps = run.series, run.plan.steps_per_stride
     start = x.centre[0]
     places = {"head": x.midline[:, :, -1], "tip": x.midline[:, :, 0], "pin": x.pin,

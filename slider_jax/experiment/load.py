@@ -121,7 +121,10 @@ def assemble(
 
 
 def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
-    """Returns values of `trial` for effect fields that the experiment file omits, by field name."""
+    """Returns default values for fields of effects, from the experiment and `trial`.
+
+    The keys are names of fields. A default applies if the `[[effects]]` table omits the field.
+    """
     return {
         "density": experiment.robot.water_density,
         "stride_frequency": trial.frequency or 1.0,

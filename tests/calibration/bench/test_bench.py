@@ -295,7 +295,7 @@ def test_the_command_writes_the_identified_parameters(exact, tmp_path, monkeypat
         ("whole.csv", "force_N,tip_m\n10,.01\n20,.02\n30,.03\n40,.04\n50,.05\n",
          "forces are in newtons: 1 g weighs 0.00981 N"),
         ("whole.csv", "force_N,tip_m\n.1,-.01\n.2,-.02\n.3,-.03\n.4,-.04\n.5,-.05\n",
-         "tip_m decreases where force_N increases"),
+         "tip_m decreases as force_N increases"),
         ("tail.csv", "force_N,tip_m,joint_m\n.1,.01,0\n.2,.02,0\n.3,.03,0\n.4,.04,0\n.5,.05,0\n",
          'joint_m is not allowed with clamped = "joint"'),
         ("bent.csv", "p_front_Pa,p_rear_Pa,tip_m\n1,0,.01\n2,0,.02\n3,0,.03\n4,0,.04\n5,0,.05\n",
