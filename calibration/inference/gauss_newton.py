@@ -77,9 +77,6 @@ class Fit(NamedTuple):
     shift: np.ndarray | float = 0.0
     """Change (k,) of the fitted entries by a discrepancy that repeats in all trials; 0 before
     `uncertainty.shift_by_discrepancy`."""
-    constant_share: np.ndarray | float = 1.0
-    """Fraction (k,) of each entry's Fisher information from channels whose discretisation error is
-    not measured; 1 before `uncertainty.shift_by_discrepancy`."""
 
     @property
     def inflation(self) -> float:

@@ -55,11 +55,8 @@ def confidence_interval(
     """Returns the value of the fitted entry `index`, and both ends of its 95 % interval."""
     place = int(np.flatnonzero(fit.free == index)[0])
     value, p = float(fit.theta[index]), entries[index]
-    shift, share = (
-        float(np.broadcast_to(x, fit.free.shape)[place]) for x in (fit.shift, fit.constant_share)
-    )
-    constant = share * discretisation_share(p) * value
-    error = float(np.linalg.norm([fit.errors[place], shift, constant]))
+    shift = float(np.broadcast_to(fit.shift, fit.free.shape)[place])
+    error = float(np.hypot(fit.errors[place], max(discretisation_share(p) * abs(value), shift)))
     return value, value - 1.96 * error, value + 1.96 * error
 
 
@@ -70,9 +67,7 @@ def shift_by_discrepancy(problem: AbstractProblem, fit: Fit, along: list[np.ndar
     its influence decreases with the number of trials. An error of a mesh or of a time step is the
     same in all trials. The shift is the linear response of the parameters to such an error: the
     difference between the fine and the coarse mesh, scaled to the discrepancy of each channel. The
-    shifts by all channels add in quadrature. They replace the constants `BASE_DISCREPANCY` and
-    `EFFECT_DISCREPANCY`, except for the information from channels without a discretisation error,
-    such as pressures. `along` are the derivatives of `reading_derivatives`.
+    shifts by all channels add in quadrature. `along` are the derivatives of `reading_derivatives`.
     """
     A, _ = summed(fit.blocks)
     if problem.mesh_ratio <= 1.0 or not np.isfinite(A).all():
@@ -85,16 +80,13 @@ def shift_by_discrepancy(problem: AbstractProblem, fit: Fit, along: list[np.ndar
         [(y - x)[None] for y, x in zip(fit.predicted, coarse, strict=True)], white
     )
     square = np.zeros(len(fit.free))
-    measured = [channel for channel, error in errors.items() if error >= LEAST_ERROR]
-    for channel in measured:
+    for channel, error in errors.items():
+        if error < LEAST_ERROR:
+            continue
         response = sum(J[key] @ x[0] for key, x in change.items() if key[1] == channel)
-        scale = problem.discrepancies[channel] / errors[channel] * richardson_share(problem)
+        scale = problem.discrepancies[channel] / error * richardson_share(problem)
         square += (scale * root @ response) ** 2
-    if not np.isfinite(square).all():
-        return fit
-    rest = sum((x.A for x in fit.blocks if x.channel not in measured), np.zeros_like(A))
-    share = np.diag(rest) / np.maximum(np.diag(A), 1e-300)
-    return fit._replace(shift=np.sqrt(square), constant_share=share)
+    return fit._replace(shift=np.sqrt(square)) if np.isfinite(square).all() else fit
 
 
 def hausman_check(
