@@ -19,7 +19,7 @@ class SideStiffness(BendingMoment):
     15, 16-23.
     """
 
-    title = "the body's stiffness differs between bending to the left and to the right"
+    title = "the body is stiffer when it bends to one side"
     order = 730
     segments = ("body",)
 

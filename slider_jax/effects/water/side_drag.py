@@ -17,7 +17,7 @@ class SideDrag(ForceDensity):
     without symmetry, Hoerner, S. F. (1965), Fluid-Dynamic Drag, ch. 3.
     """
 
-    title = "the drag differs between motion to the left and to the right"
+    title = "the drag is larger in motion to one side"
     order = 820
 
     C: Scalar = parameter(

@@ -34,6 +34,7 @@ GAIT = OPTIMUM.gaits["as the paper gives it"]
 SWIMS = jnp.asarray(GAIT.frequency)
 
 
+@pytest.mark.slow
 def test_an_unpowered_body_is_decelerated_by_its_friction():
     """m dv/dt = -rho C_t 2 H v^2 / 2 per length, so 1/v grows linearly."""
     C_t, begin, count = 0.05, 0.3, 5

@@ -76,7 +76,12 @@ def test_both_methods_return_the_same_optimum_for_the_beam(tmp_path):
 
 @pytest.mark.parametrize(
     ("effects", "method", "used"),
-    [((), "auto", "lm"), (MANY, "auto", "lbfgs"), ((), "lbfgs", "lbfgs"), (MANY, "lm", "lm")],
+    [
+        ((), "auto", "lm"),
+        pytest.param(MANY, "auto", "lbfgs", marks=pytest.mark.slow),
+        ((), "lbfgs", "lbfgs"),
+        pytest.param(MANY, "lm", "lm", marks=pytest.mark.slow),
+    ],
 )
 def test_lbfgs_is_the_default_for_many_parameters(monkeypatch, effects, method, used):
     closed.replace_the_beam(monkeypatch)

@@ -240,6 +240,7 @@ def short_log(tmp_path_factory):
     return write_log(folder / "short.txt", lines)
 
 
+@pytest.mark.slow
 def test_simulate_runs_the_command_through_the_model(tmp_path, short_log, coarse):
     model = tmp_path / "model.toml"
     model.write_text("[parameters]\nk = 0.15\n")

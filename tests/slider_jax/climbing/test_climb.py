@@ -102,6 +102,7 @@ def test_mirrored_pins_and_pressures_climb_the_mirrored_path(up):
     assert np.ptp(up[1].midline[:, 1, 0]) > 0.02
 
 
+@pytest.mark.slow
 def test_without_pressure_it_hangs_still():
     model = wall(GAIT._replace(front=0.0, rear=0.0))
     y, memory = straight_state(nodes_of(model, PLAN.numerics))

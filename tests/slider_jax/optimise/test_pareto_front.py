@@ -151,6 +151,7 @@ def test_a_folder_of_another_kind_of_optimisation_is_refused(hills, tmp_path):
         search_fastest(hills.task, make_optimiser("genetic", 8, 6), 8, 1, 0, tmp_path, resume=True)
 
 
+@pytest.mark.slow
 def test_a_task_that_no_design_can_do_is_an_error(hills, tmp_path, monkeypatch):
     class Sinks(Hills):
         def __call__(self, designs, swims, climbs):

@@ -91,6 +91,7 @@ def free_port():
 
 
 @pytest.mark.parametrize("processes", [1, 2])
+@pytest.mark.slow
 def test_two_devices_give_the_same_scores_as_one(tmp_path: Path, processes):
     cores = 2 // processes
     where = f"127.0.0.1:{free_port()}" if processes > 1 else ""
