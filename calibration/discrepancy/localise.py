@@ -30,7 +30,7 @@ def locate_residuals(
     the largest mean square. If the mean square of the channel is at the noise floor, the worst
     trial is the first trial with a pattern.
     """
-    found, level = [], TREND_P / (3 * len(left))
+    found, level = [], TREND_P / (3 * max(len(left), 1))
     for channel, x in left.items():
         if not x.above(noise_floor):
             continue
