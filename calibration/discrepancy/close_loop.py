@@ -93,6 +93,11 @@ class LoopOutcome:
         """The chosen model, fitted to the trials that were not held out."""
         return self.search.final
 
+    @property
+    def used_trials(self) -> list[int]:
+        """Trials that were not held out, as indices of `problem.records`."""
+        return [i for i in range(len(self.problem.records)) if i not in self.held]
+
     def interval(self, index: int) -> tuple[float, float, float]:
         """Returns value, lower and upper 95 % bound of the fitted parameter `entries[index]`."""
         return confidence_interval(self.final, self.entries, index)
@@ -244,18 +249,20 @@ def robust_noise(
     return found
 
 
-def held_out_growth(rest: AbstractProblem, without: Fit, with_it: Fit) -> Growth:
+def growth_of_error(
+    rest: AbstractProblem, without: list[np.ndarray], with_it: list[np.ndarray]
+) -> Growth:
     """Returns the growth of the error in the held-out trials `rest` by an effect.
 
-    Both fits use the other trials. The whitened sum of squares of a held-out trial is S0 without
-    the effect and S1 with the effect. The growth is log(S1/S0). The standard error assumes white
-    noise with the variance S0/n, where n is the number of readings. Let d be the sum of the squared
-    changes of the whitened readings by the effect. The standard deviation of S1 - S0 is then
-    2 sqrt(d S0/n), and the standard deviation of log(S1/S0) is 2 sqrt(d/(n S0)).
+    The arguments are the predicted readings (channels, samples) of each trial without and with the
+    effect. The whitened sum of squares of a held-out trial is S0 without the effect and S1 with the
+    effect. The growth is log(S1/S0). The standard error assumes white noise with the variance S0/n,
+    where n is the number of readings. Let d be the sum of the squared changes of the whitened
+    readings by the effect. The standard deviation of S1 - S0 is then 2 sqrt(d S0/n), and the
+    standard deviation of log(S1/S0) is 2 sqrt(d/(n S0)).
     """
-    predicted = [rest.predict(fit.theta) for fit in (without, with_it)]
-    white = rest.whiteners(predicted[0])
-    before, after = (rest.residuals(y, white) for y in predicted)
+    white = rest.whiteners(without)
+    before, after = (rest.residuals(y, white) for y in (without, with_it))
     logs, variances = [], []
     for trial in sorted({i for i, _ in before}):
         keys = [key for key in before if key[0] == trial]
@@ -282,7 +289,10 @@ def veto_effects(
     refits = Refits(problem, found.entries, white, progress, found.settings)
     while found.effects:
         less = _without_each(refits, found)
-        growths = {n: held_out_growth(rest, fit, found.final) for n, fit in less.items()}
+        after = rest.predict(found.final.theta)
+        growths = {
+            n: growth_of_error(rest, rest.predict(fit.theta), after) for n, fit in less.items()
+        }
         contradicted = [n for n, x in growths.items() if x.vetoes(found.settings)]
         if not contradicted:
             return

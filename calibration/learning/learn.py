@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calibration.discrepancy.close_loop import LoopOutcome, held_out_growth
+from calibration.discrepancy.close_loop import LoopOutcome, growth_of_error
 from calibration.discrepancy.refits import Refits, effect_tangents
 from calibration.discrepancy.report import residual_records
 from calibration.discrepancy.rounds import relative_changes, scoring_entries
@@ -40,30 +40,36 @@ class Dictionary:
     """The fit problem of an outcome, extended by all terms of the dictionary."""
 
     outcome: LoopOutcome
+    effects: list[str]
+    """Effects of the outcome that remain in the model beside the function."""
     problem: TankProblem
     """All trials."""
     entries: list[Parameter]
-    theta: np.ndarray
+    start: Fit
     """The model without terms, fitted to the trials that were not held out."""
-    free: np.ndarray
-    """Indices of the base parameters and of the found effects' parameters that are fitted."""
 
     @classmethod
-    def of(cls, outcome: LoopOutcome) -> "Dictionary":
-        """Returns the problem with all terms at their nulls."""
+    def of(
+        cls, outcome: LoopOutcome, effects: Sequence[str], progress: Progress = lambda text: None
+    ) -> "Dictionary":
+        """Returns the problem with the `effects` of the outcome, and with all terms at their null.
+
+        If the outcome has other effects too, the model is fitted again without them.
+        """
         assert isinstance(outcome.problem, TankProblem)
-        names = (*outcome.effects, *DICTIONARY)
+        names = (*effects, *DICTIONARY)
         entries = model_parameters(names)
         known = {(p.effect, p.name): i for i, p in enumerate(outcome.entries)}
+        source = outcome.chosen if effects else outcome.search.base
         theta = base_vector(entries, base_values(outcome.experiment))
         swing, free = theta.copy(), []
         for i, p in enumerate(entries):
             own = known.get((p.effect, p.name))
             if own is not None:
-                entries[i], theta[i] = outcome.entries[own], outcome.chosen.theta[own]
-                free += [i] if own in outcome.chosen.free else []
+                entries[i], theta[i] = outcome.entries[own], source.theta[own]
+                free += [i] if own in source.free else []
         _set_frequencies(outcome, entries, theta)
-        problem = outcome.problem
+        start, problem = source._replace(theta=theta, free=np.array(free)), outcome.problem
 
         def plans(given: Sequence[TrialPlan]) -> list[TrialPlan]:
             return [replace(p, extended=replace(p.extended, effects=names)) for p in given]
@@ -74,7 +80,22 @@ class Dictionary:
             coarse_plans=plans(problem.coarse_plans),
             swing=None if problem.swing is None else Swing(problem.swing.size, swing),
         )
-        return cls(outcome, found, entries, theta, np.array(free))
+        if 0 < len(effects) < len(outcome.effects):
+            progress(f"fitting the model with only {', '.join(effects)}")
+            start = fit_gauss_newton(
+                found.part(outcome.used_trials), entries, theta, start.free, progress
+            )
+        return cls(outcome, list(effects), found, entries, start)
+
+    @property
+    def replaced(self) -> list[str]:
+        """Effects of the outcome that the function replaces."""
+        return [name for name in self.outcome.effects if name not in self.effects]
+
+    def started(self, chosen: Sequence[int]) -> list[np.ndarray]:
+        """Returns the readings of the model without terms in the trials `chosen`."""
+        used = self.outcome.used_trials
+        return [self.start.predicted[used.index(i)] for i in chosen]
 
     @cached_property
     def places(self) -> dict[str, dict[str, np.ndarray]]:
@@ -86,22 +107,17 @@ class Dictionary:
             found.setdefault(kind.place() + sensor, {})[name] = scored[name]
         return found
 
-    def search(
-        self, used: Sequence[int], chosen: Sequence[int], progress: Progress
-    ) -> list[PlaceGain]:
-        """Returns the result at each place from the trials `chosen`, a part of the trials `used`.
-
-        The predicted readings are taken from the outcome's fit to the trials `used`.
-        """
-        problem, fit = self.problem.part(chosen), self.outcome.chosen
-        predicted = [fit.predicted[list(used).index(i)] for i in chosen]
+    def search(self, chosen: Sequence[int], progress: Progress) -> list[PlaceGain]:
+        """Returns the result at each place from the trials `chosen`."""
+        problem, predicted = self.problem.part(chosen), self.started(chosen)
+        theta, free = self.start.theta, self.start.free
         white = problem.whiteners(predicted)
         residuals = problem.residuals(predicted, white)
         samples = sum(len(r) for r in residuals.values())
-        start = Fit(self.theta, self.free, total(residuals), samples, [], predicted, True)
+        start = Fit(theta, free, total(residuals), samples, [], predicted, True)
         settings = self.outcome.search.settings
         refits = Refits(problem, self.entries, white, progress, settings)
-        tangents = effect_tangents(problem, self.entries, self.theta, self.free, settings)
+        tangents = effect_tangents(problem, self.entries, theta, free, settings)
         return place_gains(refits, start, self.places, problem.whitened(tangents, white))
 
 
@@ -163,6 +179,11 @@ class Learning:
     """The reason if no function was learned; empty if a function was learned."""
 
     @property
+    def reaches_floor(self) -> bool:
+        """Whether a function was learned and the residual with it is at the noise floor."""
+        return self.model is not None and not self.model.above_floor(self.dictionary.outcome)
+
+    @property
     def equal_places(self) -> list[str]:
         """Other places whose gain is nearly as large as the gain of the best place."""
         share = self.dictionary.outcome.search.settings.equal_gain_share
@@ -171,21 +192,40 @@ class Learning:
 
 
 def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) -> Learning | None:
-    """Returns the result of learning, or None if the verdict requires no learned function."""
+    """Returns the result of learning, or None if the verdict requires no learned function.
+
+    An effect with a residual above the noise floor may only resemble the cause. The function is
+    therefore learned without such effects first. If the residual with this function remains above
+    the noise floor, a function is learned beside all effects too, and the better model is returned.
+    """
     if outcome.verdict not in (PARTLY, UNEXPLAINED):
         return None
-    found = Learning(Dictionary.of(outcome))
-    used = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
+    doubtful = [x.name for x in outcome.statuses if x.above_floor]
+    found = _learned(outcome, [n for n in outcome.effects if n not in doubtful], progress)
+    if not doubtful or not found.estimation or found.reaches_floor:
+        return found
+    beside = _learned(outcome, outcome.effects, progress)
+    if found.model is None or beside.model is None:
+        return beside if found.model is None else found
+    return beside if beside.model.fit.square < found.model.fit.square else found
+
+
+def _learned(outcome: LoopOutcome, effects: Sequence[str], progress: Progress) -> Learning:
+    """Returns the function that is learned beside the `effects` of the outcome."""
+    used = outcome.used_trials
     parts = halves([outcome.problem.records[i].trial.frequency for i in used])
     if len(parts[1]) < MIN_HALF:
+        found = Learning(Dictionary.of(outcome, outcome.effects))
         found.reason = (
             f"only {len(used)} trials were not held out; each half needs {MIN_HALF} trials, so an "
             f"experiment needs at least eight usable trials"
         )
         return found
+    found = Learning(Dictionary.of(outcome, effects, progress))
     found.selection, found.estimation = ([used[k] for k in part] for part in parts)
-    progress(f"scoring {len(DICTIONARY)} terms of the dictionary")
-    found.places = found.dictionary.search(used, found.selection, progress)
+    beside = f" beside {', '.join(effects)}" if effects else ""
+    progress(f"scoring {len(DICTIONARY)} terms of the dictionary{beside}")
+    found.places = found.dictionary.search(found.selection, progress)
     best = found.places[0]
     if not best.groups:
         found.reason = "no term of the dictionary has a significant gain"
@@ -201,7 +241,7 @@ def _estimate(found: Learning, best: PlaceGain, progress: Progress) -> None:
     terms, theta = best.groups, best.fit.theta
     while terms:
         progress(f"estimating {', '.join(terms)}")
-        free = np.concatenate([known.free, *(groups[name] for name in terms)])
+        free = np.concatenate([known.start.free, *(groups[name] for name in terms)])
         fit = fit_gauss_newton(problem, known.entries, theta, free, progress)
         if not fit.converged:
             found.reason = f"the fit with {', '.join(terms)} did not converge"
@@ -238,9 +278,8 @@ def _conclude(
 ) -> None:
     """Tests the fit on the held-out trials, and sets `model` or `reason`."""
     known, outcome = found.dictionary, found.dictionary.outcome
-    before = outcome.chosen._replace(theta=known.theta)
-    used = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
-    own = [outcome.chosen.predicted[used.index(i)] for i in found.estimation]
+    assert isinstance(outcome.problem, TankProblem)
+    own = known.started(found.estimation)
     sizes = relative_changes(problem, own, fit.predicted)
     limits = problem.discrepancies
     if not any(x > limits[c] for c, x in sizes.items()):
@@ -251,11 +290,12 @@ def _conclude(
     if outcome.held:
         progress("predicting the held-out trials with the learned function")
         rest = known.problem.part(outcome.held)
-        if held_out_growth(rest, before, fit).vetoes(outcome.search.settings):
+        before, after = (rest.predict(x.theta) for x in (known.start, fit))
+        of_loop = outcome.problem.part(outcome.held).predict(outcome.chosen.theta)
+        if growth_of_error(rest, of_loop, after).vetoes(outcome.search.settings):
             found.reason = "the selected terms increase the error in the held-out trials"
             return
-        predicted = [rest.predict(x.theta) for x in (before, fit)]
-        errors = channel_errors(rest, *predicted)
-        excess.append(tested_excess(rest, fit._replace(predicted=predicted[1])))
+        errors = channel_errors(rest, before, after)
+        excess.append(tested_excess(rest, fit._replace(predicted=after)))
     fit = widen_by_correlation(problem, fit)
     found.model = LearnedModel(terms, fit, problem, confirmed, errors, tested, excess, sizes)

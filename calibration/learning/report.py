@@ -58,6 +58,7 @@ def learned_record(
         "said": learned_text(learning),
         "place": learning.places[0].place,
         "equivalent_places": learning.equal_places,
+        "replaced_effects": learning.dictionary.replaced,
         "terms": [
             {
                 "name": name,
@@ -121,6 +122,9 @@ def learned_text(learning: Learning) -> str:
     titles = ", ".join(f"{DICTIONARY[n].title} ({n})" for n in learned.terms)
     text = f"At the place {learning.places[0].place}, the model learned: {titles}."
     text += " A learned function describes the residual; it is not an identified cause."
+    replaced = learning.dictionary.replaced
+    if replaced:
+        text += f" The function replaces the provisional effects: {', '.join(replaced)}."
     if learning.equal_places:
         text += f" Terms of {', '.join(learning.equal_places)} explain the residual equally well."
     above = learned.above_floor(learning.dictionary.outcome)
@@ -143,9 +147,9 @@ def testing_trial(
     noise = {(problem.records[i].trial.file, c): x for (i, c), x in problem.noise.items()}
     prediction = TrialInformation(
         outcome.experiment,
-        (*outcome.effects, *DICTIONARY),
-        known.theta,
-        known.free,
+        (*known.effects, *DICTIONARY),
+        known.start.theta,
+        known.start.free,
         SensorModel.of(outcome.experiment, problem.records, noise),
         {},
         problem.mesh,
@@ -177,7 +181,7 @@ def learned_model_toml(outcome: LoopOutcome, learning: Learning) -> str:
     """Returns the model with the learned function, for `slider simulate --model`."""
     entries, learned = learning.dictionary.entries, learning.model
     assert learned is not None
-    names = [*outcome.effects, *learned.terms]
+    names = [*learning.dictionary.effects, *learned.terms]
     kept = [i for i, p in enumerate(entries) if p.effect in names or i in learned.fit.free]
     tables = model_tables([entries[i] for i in kept], learned.fit.theta[kept], names)
     return toml_text(tables, "\n".join([*verdict_sentences(outcome), learned_text(learning)]))

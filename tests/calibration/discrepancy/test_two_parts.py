@@ -134,7 +134,7 @@ def test_a_veto_removes_only_the_effect_that_is_contradicted():
 
 def test_the_effect_with_the_largest_growth_does_not_hide_another_contradicted_effect(monkeypatch):
     growths = iter([Growth(0.3, 0.2), Growth(0.2, 0.02), Growth(-1.0, 0.1)])
-    monkeypatch.setattr(close_loop, "held_out_growth", lambda *given: next(growths))
+    monkeypatch.setattr(close_loop, "growth_of_error", lambda *given: next(growths))
     outcome = conclusion((0.3, 0.25, 0.0, 0.0))
     assert [x.mean for x in outcome.search.vetoed.values()] == [0.2]
     assert len(outcome.effects) == 1
