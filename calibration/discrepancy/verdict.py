@@ -81,10 +81,14 @@ def _status(equivalent: list[str], beyond: list[int], doubtful: bool) -> str:
 def reach_verdict(
     search: Selection, statuses: Collection[EffectStatus], after: Mapping[str, Excess]
 ) -> str:
-    """Returns the overall verdict from the statuses of the effects and the final residual."""
+    """Returns the overall verdict from the statuses of the effects and the final residual.
+
+    If the final fit did not converge, all effects are provisional. The verdict is then
+    inconclusive, unless the residual shows that the effects do not explain the data.
+    """
     left = channels_above_floor(after, search.settings)
     if not search.final.converged:
-        return INCONCLUSIVE
+        return PARTLY if statuses and left else INCONCLUSIVE
     if not statuses:
         if left:
             return UNEXPLAINED

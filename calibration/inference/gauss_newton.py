@@ -48,6 +48,9 @@ FRESH_DISTANCE = 0.3
 this number."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Fractions of a step that are tried in this order."""
+STALLED = 3
+"""A fit ends if this number of successive steps each gain less than the tolerance, although larger
+gains were predicted. Such a fit continues for tens of steps without a better prediction."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
 """If the residual's mean square exceeds `POOR_FIT`, the model lacks an effect. Such a fit converges
 slowly, and is repeated with the missing effect. `ROUGH_GAIN_TOLERANCE` therefore replaces
@@ -167,7 +170,7 @@ def fit_gauss_newton(
     residuals = problem.residuals(predicted, white)
     square, converged = total(residuals), False
     samples = sum(len(r) for r in residuals.values())
-    J, fresh, origin = None, True, theta
+    J, fresh, origin, stalled = None, True, theta, 0
     for iteration in range(MAX_ITERATIONS):
         if J is None:
             J = problem.whitened(reading_derivatives(problem, entries, theta, free), white)
@@ -188,7 +191,8 @@ def fit_gauss_newton(
                 break
             J = None
             continue
-        for share in SHARES if fresh else SHARES[:1]:
+        shares = SHARES if fresh else SHARES[:1]
+        for share in shares if stalled < STALLED else ():
             trial = theta.copy()
             trial[free] = theta[free] + share * step
             tried = problem.predict(trial)
@@ -196,13 +200,14 @@ def fit_gauss_newton(
             if total(found) < square:
                 break
         else:
-            if not fresh:
+            if not fresh and stalled < STALLED:
                 J = None
                 continue
             error = np.sqrt(unit * np.diag(inverse(A)))
             converged = bool(np.all(np.abs(step) < error))
             break
         gained = square - total(found)
+        stalled = stalled + 1 if gained < enough else 0
         if share == 1.0 and enough < gained and KEPT_SHARE * expected < gained:
             change = {key: r - found[key] for key, r in residuals.items()}
             J, fresh = broyden_update(J, change, step, A), False

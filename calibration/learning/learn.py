@@ -14,7 +14,7 @@ from calibration.discrepancy.close_loop import LoopOutcome, growth_of_error
 from calibration.discrepancy.refits import Refits, effect_tangents
 from calibration.discrepancy.report import residual_records
 from calibration.discrepancy.rounds import relative_changes, scoring_entries
-from calibration.discrepancy.verdict import PARTLY, UNEXPLAINED, channels_above_floor
+from calibration.discrepancy.verdict import PARTLY, PROVISIONAL, UNEXPLAINED, channels_above_floor
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, channel_errors, tested_excess
 from calibration.inference.problem import Swing, TankProblem, total
@@ -200,7 +200,8 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
     """
     if outcome.verdict not in (PARTLY, UNEXPLAINED):
         return None
-    doubtful = [x.name for x in outcome.statuses if x.above_floor]
+    statuses = outcome.statuses
+    doubtful = [x.name for x in statuses if x.above_floor or x.status == PROVISIONAL]
     found = _learned(outcome, [n for n in outcome.effects if n not in doubtful], progress)
     if not doubtful or not found.estimation or found.reaches_floor:
         return found

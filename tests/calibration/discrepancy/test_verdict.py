@@ -83,6 +83,12 @@ def test_two_effects_have_a_status_each():
 
 def test_a_fit_that_did_not_converge_is_inconclusive():
     assert judged(converged=False) == ("inconclusive", {"valve_delay": "provisional"})
+    assert judged(["tip"], effects=(), converged=False) == ("inconclusive", {})
+
+
+def test_a_fit_that_did_not_converge_still_shows_what_the_effects_do_not_explain():
+    found = judged(["thrust"], converged=False)
+    assert found == ("partly_explained", {"valve_delay": "provisional"})
 
 
 def test_a_growth_below_the_margin_or_within_chance_vetoes_nothing():

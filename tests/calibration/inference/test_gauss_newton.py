@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calibration.inference.gauss_newton import fit_gauss_newton
+from calibration.inference.gauss_newton import STALLED, fit_gauss_newton
 from calibration.inference.problem import FAILED
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
@@ -91,3 +91,12 @@ def test_a_fit_without_an_improving_step_does_not_converge(monkeypatch):
         "calibration.inference.gauss_newton.linear_optimum", lambda A, b, start, bounds: start - 0.5
     )
     assert not fit_gauss_newton(Curve(), ENTRIES, np.array([1.0, 0.9]), np.arange(2)).converged
+
+
+def test_a_fit_ends_when_its_steps_gain_nothing():
+    """Tangents that are too large by a factor of 1e7 predict a large gain and give tiny steps."""
+    problem = Curve()
+    exact = problem.tangents
+    problem.tangents = lambda theta, directions: [1e7 * exact(theta, directions)[0]]
+    found = fit_gauss_newton(problem, ENTRIES, np.array([1.0, 0.9]), np.arange(2))
+    assert not found.converged and problem.simulated == 1 + STALLED

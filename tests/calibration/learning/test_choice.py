@@ -8,8 +8,8 @@ from calibration.learning import learn
 from calibration.learning.learn import learn_terms
 
 STATUSES = [
-    SimpleNamespace(name="leakage", above_floor=["p_rear"]),
-    SimpleNamespace(name="camera_delay", above_floor=[]),
+    SimpleNamespace(name="leakage", status="provisional", above_floor=["p_rear"]),
+    SimpleNamespace(name="camera_delay", status="identified", above_floor=[]),
 ]
 
 
