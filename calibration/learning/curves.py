@@ -9,22 +9,13 @@ import numpy as np
 
 from calibration.discrepancy.rounds import scoring_entries
 from calibration.inference.uncertainty import EFFECT_DISCREPANCY, correlations
-from calibration.learning.learn import Learning
-from calibration.model.predict import BLOCK, TrialPlan
-from slider_jax.channels import BUILT_IN, row_of
-from slider_jax.dynamics.model import Model
-from slider_jax.dynamics.pressures import REAR, chamber_history, set_pressures, start_chambers
-from slider_jax.dynamics.step import Snapshot, at_rest
-from slider_jax.effects import Chamber, Curve, Flow, Instrument, Readings
+from calibration.learning.learn import RARE, Learning
+from calibration.learning.states import visited_states
+from slider_jax.effects import Curve
 from slider_jax.effects.library import DICTIONARY
-from slider_jax.simulation.trial import advance_chunk, run_chunks
 
 POINTS = 41
 """Number of states in a table."""
-TAILS = 0.005
-"""The table omits this fraction of the visited states at each end, because a state has extreme
-values in the instants when the drive switches."""
-PARTS = ("body", "tail")
 
 
 class LearnedCurve(NamedTuple):
@@ -41,40 +32,6 @@ class LearnedCurve(NamedTuple):
     high: np.ndarray
 
 
-def _section(x: Snapshot):
-    return x.section()
-
-
-def visited_states(
-    plan: TrialPlan, model: Model, readings: np.ndarray, effect: Any
-) -> dict[str, np.ndarray]:
-    """Returns the states of a term that a simulated trial visits, by part.
-
-    `readings` (channels, samples) are the predicted readings of the trial.
-    """
-    kind = type(effect)
-    if issubclass(kind, Instrument):
-        rows = [jnp.asarray(readings[row_of(name)]) for name in BUILT_IN]
-        return {"": np.ravel(effect.state(Readings(jnp.asarray(plan.at), *rows)))}
-    if issubclass(kind, Flow):
-        t = jnp.asarray(plan.grid.times)
-        p, p_set = chamber_history(model, start_chambers(model), t).p, set_pressures(model, t).b1
-        x = Chamber(p, p_set, jnp.ones(()), REAR, jnp.sign(p))
-        return {"": np.ravel(effect.state(x))}
-    h = jnp.asarray(plan.grid.h)
-
-    def advance(done: int, carry):
-        t0 = jnp.asarray(plan.grid.h * done)
-        return advance_chunk(model, h, t0, carry, _section, plan.numerics, plan.scheme, BLOCK)
-
-    parts, _ = run_chunks(advance, at_rest(model, plan.numerics), plan.grid.steps, BLOCK)
-    z = np.concatenate([effect.state(x) for x in parts])[: plan.grid.steps]
-    tail = np.asarray(parts[0].in_tail[0]) > 0.5
-    if set(kind.priors()) != set(PARTS):
-        return {"": z.ravel()}
-    return {"body": z[:, ~tail].ravel(), "tail": z[:, tail].ravel()}
-
-
 def learned_curves(learning: Learning) -> list[LearnedCurve]:
     """Returns a table of every learned term and part, over the states of the estimation trials.
 
@@ -86,20 +43,21 @@ def learned_curves(learning: Learning) -> list[LearnedCurve]:
     entries, theta = learning.dictionary.entries, jnp.asarray(fit.theta)
     models = [jax.tree.map(jnp.asarray, p.extended.at(theta)) for p in problem.coarse_plans]
     covariance = correlations(fit) * np.outer(fit.errors, fit.errors)
+    values = {
+        n: {p.name: theta[i] for i, p in enumerate(entries) if p.effect == n} for n in learned.terms
+    }
+    terms: dict[str, Any] = {n: DICTIONARY[n](**own) for n, own in values.items()}
+    each = [
+        visited_states(p, model, y, terms)
+        for p, model, y in zip(problem.coarse_plans, models, fit.predicted, strict=True)
+    ]
     found = []
-    for name in learned.terms:
-        kind = DICTIONARY[name]
-        own = {p.name: theta[i] for i, p in enumerate(entries) if p.effect == name}
-        effect: Any = kind(**own)
-        group = scoring_entries(entries)[name]
+    for name, effect in terms.items():
+        kind, group, visited = type(effect), scoring_entries(entries)[name], [x[name] for x in each]
         place = np.array([int(np.flatnonzero(fit.free == i)[0]) for i in group])
-        visited = [
-            visited_states(p, model, y, effect)
-            for p, model, y in zip(problem.coarse_plans, models, fit.predicted, strict=True)
-        ]
         for part in visited[0]:
             z = np.concatenate([x[part] for x in visited])
-            low, high = np.quantile(z[np.isfinite(z)], [TAILS, 1.0 - TAILS])
+            low, high = np.quantile(z[np.isfinite(z)], [RARE, 1.0 - RARE])
             state = np.linspace(low, high, POINTS)
             basis = np.asarray(effect.basis(jnp.asarray(state)))
             chosen = np.array([list(kind.priors()).index(part)]) if part else slice(None)

@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome, growth_of_error
@@ -27,12 +29,16 @@ from calibration.learning.pursuit import (
     place_gains,
     stability,
 )
+from calibration.learning.states import visited_states
 from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
 from calibration.model.predict import TrialPlan
 from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import DICTIONARY
 
 Progress = Callable[[str], None]
+RARE = 0.005
+"""Fraction of the visited states that lies beyond each end of a function's table, and beyond the
+scale of a term. A state has extreme values in the instants when the drive switches."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,7 @@ class Dictionary:
                 entries[i], theta[i] = outcome.entries[own], source.theta[own]
                 free += [i] if own in source.free else []
         _set_frequencies(outcome, entries, theta)
+        _set_scales(outcome, entries, theta)
         start, problem = source._replace(theta=theta, free=np.array(free)), outcome.problem
 
         def plans(given: Sequence[TrialPlan]) -> list[TrialPlan]:
@@ -132,9 +139,27 @@ def _set_frequencies(outcome: LoopOutcome, entries: Sequence[Parameter], theta: 
             found[sensor] = min(lines, key=lambda p: p.line_p).frequency_Hz
         found.setdefault(sensor, x["in_worst_trial"]["peak_Hz"])
     for i, p in enumerate(entries):
-        if p.is_shape and p.effect in DICTIONARY:
+        if p.name == "frequency" and p.effect in DICTIONARY:
             sensor = DICTIONARY[p.effect].sensors[0]
             theta[i] = np.clip(found.get(sensor, p.prior.null), p.prior.low, p.prior.high)
+
+
+def _set_scales(outcome: LoopOutcome, entries: Sequence[Parameter], theta: np.ndarray) -> None:
+    """Sets the scale of each term to the largest state that the trials of the fit visit."""
+    assert isinstance(outcome.problem, TankProblem)
+    scaled = [i for i, p in enumerate(entries) if p.name == "scale" and p.effect in DICTIONARY]
+    terms = {entries[i].effect: DICTIONARY[entries[i].effect]() for i in scaled}
+    problem = outcome.problem.part(outcome.used_trials)
+    values = jnp.asarray(outcome.chosen.theta)
+    visited = [
+        visited_states(p, jax.tree.map(jnp.asarray, p.extended.at(values)), y, terms)
+        for p, y in zip(problem.coarse_plans, outcome.chosen.predicted, strict=True)
+    ]
+    for i in scaled:
+        p = entries[i]
+        z = np.abs(np.concatenate([x[p.effect][""] for x in visited]))
+        largest = float(np.quantile(z[np.isfinite(z)], 1.0 - RARE))
+        theta[i] = np.clip(largest, p.prior.low, p.prior.high)
 
 
 @dataclass(frozen=True)
@@ -244,8 +269,9 @@ def _estimate(found: Learning, best: PlaceGain, progress: Progress) -> None:
         progress(f"estimating {', '.join(terms)}")
         free = np.concatenate([known.start.free, *(groups[name] for name in terms)])
         fit = fit_gauss_newton(problem, known.entries, theta, free, progress)
-        if not fit.converged:
-            found.reason = f"the fit with {', '.join(terms)} did not converge"
+        # The held-out trials judge the function, so an incomplete fit may be used.
+        if not np.isfinite(fit.errors).all():
+            found.reason = f"the model with {', '.join(terms)} cannot be simulated"
             return
         confirmed = {
             name: stability(

@@ -30,6 +30,8 @@ CONFIRMATION_P = 0.01
 selected groups, is below this value."""
 SHORT_LIST = 4
 """Largest number of groups that a step of the pursuit refits."""
+START_SHARES = (1.0, 0.3)
+"""A refit starts at these fractions of the linear step, because the whole step can be too long."""
 MAX_PLACES = 3
 """Largest number of places at which the pursuit refits groups."""
 UNSTABLE_CHANGE = 0.5
@@ -107,16 +109,17 @@ def _pursue(
         residuals = refits.problem.residuals(current.predicted, refits.white)
         rest = {name: x for name, x in groups.items() if name not in chosen}
         scores = _short_list(refits, current, rest, normal_equations(residuals, J), many)
+        lanes = [(x, share) for _, x in scores[:SHORT_LIST] for share in START_SHARES]
         starts = [
             FitStart(
-                initial_theta(refits, current.theta, groups[x.name], x.step),
+                initial_theta(refits, current.theta, groups[x.name], share * x.step),
                 np.concatenate([current.free, groups[x.name]]),
                 current.theta,
             )
-            for _, x in scores[:SHORT_LIST]
+            for x, share in lanes
         ]
         fits = refits.estimated(current, starts, J, judge=True)
-        named = zip(fits, (x.name for _, x in scores), strict=False)
+        named = zip(fits, (x.name for x, _ in lanes), strict=True)
         gains = [(_surplus(refits, current, fit, many), name, fit) for fit, name in named]
         surplus, name, fit = max(gains, key=lambda x: x[0], default=(0.0, "", current))
         if surplus <= 0.0:

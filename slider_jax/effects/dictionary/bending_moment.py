@@ -7,23 +7,18 @@ from jaxtyping import Array, Float
 
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import BendingMoment, Curve, parameter
+from slider_jax.effects.base import BendingMoment, Curve, parameter, shape_parameter
 from slider_jax.effects.functions import magnitude
+from slider_jax.effects.powers import Powers, even_powers, odd_powers
 
-CURVATURE, RATE, PRESSURE = 3.0, 60.0, 100e3
-"""Curvature [1/m], rate of the curvature [1/(m s)] and pressure [Pa] in a typical stride at 5 Hz.
-The parameter of a term is the moment at the term's value of these three."""
+CURVATURE, RATE, MOMENT = 3.0, 60.0, 0.05
+"""Curvature [1/m], rate of the curvature [1/(m s)] and moment [N m] in a typical stride at 5 Hz.
+The parameter of a term of the curvature or its rate is the term's M/EI at this value."""
 CORNER = 0.1
-"""Width of the smooth corner of a one-sided function, in typical curvatures or pressures."""
+"""Width of the smooth corner of dry friction and of |p|, in typical rates and largest pressures."""
 WHY = "the elastic moment divided by EI is 3 1/m at kappa = 3 1/m"
-WHY_PRESSURE = "100 kPa cause a moment of 0.046 N m with K_Q = 4.6e-7 m^3"
 OF_KAPPA = Curve("curvature kappa", "1/m", "moment M/EI", "1/m")
 OF_RATE = Curve("rate of curvature d(kappa)/dt", "1/(m s)", "moment M/EI", "1/m")
-
-
-def one_sided(z: Array) -> Array:
-    """Returns max(z, 0) with a smooth corner of the width `CORNER`."""
-    return 0.5 * (z + magnitude(z, CORNER) - CORNER)
 
 
 class MomentTerm(BendingMoment):
@@ -49,56 +44,68 @@ class MomentTerm(BendingMoment):
         return x.EI * factor * self.basis(self.state(x)), memory
 
 
-class MomentLinear(MomentTerm):
-    """M = EI a k, with the curvature k in units of `CURVATURE`."""
+class CurvatureTerm(Powers, BendingMoment):
+    """M/EI is a function of the curvature kappa in one part of the robot."""
 
-    title = "moment linear in the curvature"
     term_curve = OF_KAPPA
 
-    def state(self, x):
+    scale: Scalar = shape_parameter(CURVATURE, 1e-2, 1e3, "1/m", "the curvatures of a soft robot")
+    """Largest visited |kappa|."""
+
+    def state(self, x: Section) -> Array:
+        """Returns the curvature in each cell."""
         return x.kappa
 
-    def basis(self, z):
-        return z / CURVATURE
+    def cells(self, x: Section) -> Array:
+        """Returns 1 in the cells with the moment, and 0 in the other cells."""
+        return x.in_tail if self.segments == ("tail",) else 1.0 - x.in_tail
+
+    @abstractmethod
+    def basis(self, z: Array) -> Float[Array, "3 ..."]:
+        """Returns the basis functions at the curvature z."""
+
+    def moment(self, x, memory, dt):
+        return x.EI * self.cells(x) * self.total(self.basis(self.state(x))), memory
 
 
-class MomentQuadratic(MomentTerm):
-    """M = EI a k |k|, with the curvature k in units of `CURVATURE`."""
+class MomentOfBody(CurvatureTerm):
+    """M/EI is an odd function of the curvature kappa in the body."""
 
-    title = "moment quadratic in the curvature"
-    term_curve = OF_KAPPA
-
-    def state(self, x):
-        return x.kappa
-
-    def basis(self, z):
-        return z * jnp.abs(z) / CURVATURE**2
-
-
-class MomentCubic(MomentTerm):
-    """M = EI a k^3, with the curvature k in units of `CURVATURE`."""
-
-    title = "moment cubic in the curvature"
-    term_curve = OF_KAPPA
-
-    def state(self, x):
-        return x.kappa
+    title = "moment of the body that depends on the curvature"
+    segments = ("body",)
 
     def basis(self, z):
-        return (z / CURVATURE) ** 3
+        return self.scale * odd_powers(z / self.scale)
 
 
-class MomentOneSided(MomentTerm):
-    """M = EI a max(k, 0), with the curvature k in units of `CURVATURE`."""
+class MomentOfTail(CurvatureTerm):
+    """M/EI is an odd function of the curvature kappa in the tail."""
 
-    title = "moment on one side"
-    term_curve = OF_KAPPA
-
-    def state(self, x):
-        return x.kappa
+    title = "moment of the tail that depends on the curvature"
+    segments = ("tail",)
 
     def basis(self, z):
-        return one_sided(z / CURVATURE)
+        return self.scale * odd_powers(z / self.scale)
+
+
+class MomentOfBodyBySide(CurvatureTerm):
+    """M/EI is an even function of the curvature kappa in the body, so the robot's sides differ."""
+
+    title = "moment of the body that depends on the curvature and differs between the sides"
+    segments = ("body",)
+
+    def basis(self, z):
+        return self.scale * even_powers(z / self.scale)
+
+
+class MomentOfTailBySide(CurvatureTerm):
+    """M/EI is an even function of the curvature kappa in the tail, so the robot's sides differ."""
+
+    title = "moment of the tail that depends on the curvature and differs between the sides"
+    segments = ("tail",)
+
+    def basis(self, z):
+        return self.scale * even_powers(z / self.scale)
 
 
 class MomentOfRate(MomentTerm):
@@ -140,29 +147,32 @@ class MomentOfRateSaturated(MomentTerm):
         return z / RATE / magnitude(z / RATE, CORNER)
 
 
-class MomentOfPressure(BendingMoment):
-    """M = a |q| + b q |q| + c q^3, with the pressure q of the chamber in units of `PRESSURE`."""
+class MomentOfPressure(Powers, BendingMoment):
+    """M is a function of the pressure of the chamber."""
 
-    title = "bending moment nonlinear in the pressure"
+    title = "bending moment that depends on the pressure"
     segments = ("body",)
     term_curve = Curve("pressure of the chamber", "Pa", "moment M", "N m")
 
-    a: Scalar = parameter(0.0, -0.05, 0.05, "N m", WHY_PRESSURE)
-    """a, part of M with the same sign for both signs of the pressure."""
-    b: Scalar = parameter(0.0, -0.05, 0.05, "N m", WHY_PRESSURE)
-    """b, quadratic part."""
-    c: Scalar = parameter(0.0, -0.05, 0.05, "N m", WHY_PRESSURE)
-    """c, cubic part."""
+    scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", "the pressures of a soft robot")
+    """Largest visited |p|."""
 
     def state(self, x: Section) -> Array:
         """Returns the pressure [Pa] of the chamber at each cell."""
         return x.pressure
 
+    def cells(self, x: Section) -> Array:
+        """Returns 1 in the cells with the moment, and 0 in the other cells."""
+        return 1.0 - x.in_tail
+
     def basis(self, z: Array) -> Float[Array, "3 ..."]:
-        """Returns the basis functions at the pressure z [Pa]."""
-        q = z / PRESSURE
-        return jnp.stack([magnitude(q, CORNER) - CORNER, q * jnp.abs(q), q**3])
+        """Returns the basis functions at the pressure z [Pa].
+
+        The parameter K_Q describes a moment that is linear in z, so |z| replaces z.
+        """
+        q = z / self.scale
+        _, *powers = odd_powers(q)
+        return MOMENT * jnp.stack([jnp.minimum(magnitude(q, CORNER), 1.0) - CORNER, *powers])
 
     def moment(self, x, memory, dt):
-        a, b, c = self.basis(self.state(x))
-        return self.a * a + self.b * b + self.c * c, memory
+        return self.cells(x) * self.total(self.basis(self.state(x))), memory

@@ -6,38 +6,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Chamber, Curve, Flow, parameter
+from slider_jax.effects.base import Chamber, Curve, Flow, shape_parameter
 from slider_jax.effects.functions import magnitude
+from slider_jax.effects.powers import Powers, even_powers, odd_powers
 
-PRESSURE, DIFFERENCE = 200e3, 300e3
-"""Pressure p and difference p_set - p [Pa] of a typical drive with 250 kPa. A parameter is the
-contribution of its basis function at this value."""
 CORNER = 0.02
-"""Width of the smooth corner of the square root, as a fraction of `DIFFERENCE`."""
-WHY = "dp/dt at a difference of 250 kPa and k = 0.08 s is 3 MPa/s"
-WHY_FACTOR = "1/k is 12 1/s at k = 0.08 s"
+"""Width of the smooth corner of the square root, as a fraction of the largest difference."""
+RATE, OPENING = 3e6, 12.5
+"""dp/dt [Pa/s] at a difference of 250 kPa, and 1/k [1/s], both at k = 0.08 s. The parameters of a
+term are factors of one of these two."""
+WHY_SCALE = "the pressures of a soft robot"
 
 
-def odd_powers(z: Array) -> Float[Array, "3 ..."]:
-    """Returns z, z |z| and z^3."""
-    return jnp.stack([z, z * jnp.abs(z), z**3])
-
-
-def even_powers(z: Array) -> Float[Array, "3 ..."]:
-    """Returns |z|, z^2 and |z|^3."""
-    size = jnp.abs(z)
-    return jnp.stack([size, size**2, size**3])
-
-
-class FlowTerm(Flow):
+class FlowTerm(Powers, Flow):
     """dp/dt changes by a sign times f(z). f is a sum of three basis functions of a state z."""
-
-    a: Scalar = parameter(0.0, -5e6, 5e6, "Pa/s", WHY)
-    """Factor of the first basis function."""
-    b: Scalar = parameter(0.0, -5e6, 5e6, "Pa/s", WHY)
-    """Factor of the second basis function."""
-    c: Scalar = parameter(0.0, -5e6, 5e6, "Pa/s", WHY)
-    """Factor of the third basis function."""
 
     @abstractmethod
     def state(self, x: Chamber) -> Array:
@@ -52,44 +34,50 @@ class FlowTerm(Flow):
         """Returns the sign with which f changes dp/dt."""
 
     def rate(self, rate, x):
-        values = jnp.stack([self.a, self.b, self.c])
-        f = jnp.sum(values[:, None] * self.basis(self.state(x)), axis=0)
-        return rate + self.factor(x) * f
+        return rate + self.factor(x) * self.total(self.basis(self.state(x)))
 
 
-class FlowOfPressure(FlowTerm):
+class PressureTerm(FlowTerm):
+    """A term whose function depends on the pressure p."""
+
+    term_curve = Curve("pressure p", "Pa", "change of dp/dt", "Pa/s")
+
+    scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", WHY_SCALE)
+    """Largest visited |p|."""
+
+    def state(self, x):
+        return x.p
+
+    def factor(self, x):
+        return jnp.ones_like(x.p)
+
+
+class FlowOfPressure(PressureTerm):
     """dp/dt changes by an odd function f of the pressure p."""
 
     title = "flow that depends on the pressure"
-    term_curve = Curve("pressure p", "Pa", "change of dp/dt", "Pa/s")
-
-    def state(self, x):
-        return x.p
 
     def basis(self, z):
-        return odd_powers(z / PRESSURE)
-
-    def factor(self, x):
-        return jnp.ones_like(x.p)
+        return RATE * odd_powers(z / self.scale)
 
 
-class FlowOfPressureBySide(FlowTerm):
+class FlowOfPressureBySide(PressureTerm):
     """dp/dt changes by an even function f of the pressure p, so the robot's sides differ."""
 
     title = "flow that depends on the pressure and differs between the sides"
-    term_curve = Curve("pressure p", "Pa", "change of dp/dt", "Pa/s")
-
-    def state(self, x):
-        return x.p
 
     def basis(self, z):
-        return even_powers(z / PRESSURE)
-
-    def factor(self, x):
-        return jnp.ones_like(x.p)
+        return RATE * even_powers(z / self.scale)
 
 
-class FlowOfDifference(FlowTerm):
+class DifferenceTerm(FlowTerm):
+    """A term whose function depends on the difference p_set - p."""
+
+    scale: Scalar = shape_parameter(300e3, 1e3, 4e6, "Pa", WHY_SCALE)
+    """Largest visited |p_set - p|."""
+
+
+class FlowOfDifference(DifferenceTerm):
     """dp/dt changes by an odd function f of the difference p_set - p."""
 
     title = "flow that depends on the pressure difference"
@@ -100,14 +88,15 @@ class FlowOfDifference(FlowTerm):
 
     def basis(self, z):
         # A linear function would be the lag of the base model, so a square root replaces it.
-        e = z / DIFFERENCE
-        return jnp.stack([e / jnp.sqrt(magnitude(e, CORNER)), e * jnp.abs(e), e**3])
+        e = z / self.scale
+        linear, *powers = odd_powers(e)
+        return RATE * jnp.stack([linear / jnp.sqrt(magnitude(e, CORNER)), *powers])
 
     def factor(self, x):
         return jnp.ones_like(x.p)
 
 
-class FlowOfFilling(FlowTerm):
+class FlowOfFilling(DifferenceTerm):
     """d|p|/dt changes by an even function f of p_set - p, so filling and venting differ."""
 
     title = "flow that differs between filling and venting"
@@ -117,34 +106,38 @@ class FlowOfFilling(FlowTerm):
         return x.side * (x.p_set - x.p)
 
     def basis(self, z):
-        return even_powers(z / DIFFERENCE)
+        return RATE * even_powers(z / self.scale)
 
     def factor(self, x):
         return x.side
 
 
-class FlowFactor(Flow):
+class ValveOpening(Powers, Flow):
     """1/k changes by a function f of |p|: dp/dt changes by f (p_set - p)."""
 
     title = "valve whose opening depends on the pressure"
     term_curve = Curve("pressure |p|", "Pa", "change of 1/k", "1/s")
 
-    a: Scalar = parameter(0.0, -20.0, 20.0, "1/s", WHY_FACTOR)
-    """Factor of the first basis function."""
-    b: Scalar = parameter(0.0, -20.0, 20.0, "1/s", WHY_FACTOR)
-    """Factor of the second basis function."""
-    c: Scalar = parameter(0.0, -20.0, 20.0, "1/s", WHY_FACTOR)
-    """Factor of the third basis function."""
+    scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", WHY_SCALE)
+    """Largest visited |p|."""
 
     def state(self, x: Chamber) -> Array:
         """Returns |p| of the chambers."""
         return jnp.abs(x.p)
 
     def basis(self, z: Array) -> Float[Array, "3 ..."]:
-        """Returns the basis functions at the state z."""
-        return even_powers(z / PRESSURE)
+        """Returns the basis functions at the state z. The parameter k describes a constant f."""
+        return OPENING * even_powers(z / self.scale)
 
     def rate(self, rate, x):
-        values = jnp.stack([self.a, self.b, self.c])
-        f = jnp.sum(values[:, None] * self.basis(self.state(x)), axis=0)
-        return rate + f * (x.p_set - x.p)
+        return rate + self.total(self.basis(self.state(x))) * (x.p_set - x.p)
+
+
+class VentingOpening(ValveOpening):
+    """1/k changes by a function f of |p| while the chamber vents."""
+
+    title = "valve whose opening depends on the pressure while the chamber vents"
+
+    def rate(self, rate, x):
+        f = self.total(self.basis(self.state(x)))
+        return rate + f * jnp.where(x.filling, 0.0, x.p_set - x.p)

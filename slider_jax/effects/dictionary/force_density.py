@@ -3,18 +3,16 @@
 from abc import abstractmethod
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Curve, ForceDensity, parameter
-from slider_jax.effects.functions import magnitude
+from slider_jax.effects.base import Curve, ForceDensity, parameter, shape_parameter
+from slider_jax.effects.powers import Powers, even_powers, odd_powers
 
 SPEED, ACCELERATION, CURVATURE = 0.5, 10.0, 3.0
 """Lateral speed [m/s], lateral acceleration [m/s^2] and curvature [1/m] in a typical stride (5 Hz).
 The parameter of a term is the force at the term's value of these three."""
-CORNER = 0.02
-"""Width [m/s] of the smooth corner of a one-sided function."""
 WHY = "the drag of the crossflow at 0.5 m/s is 11 N/m with C_d = 3"
 VELOCITY = Curve("lateral velocity u_n", "m/s", "normal force F_n", "N/m")
 
@@ -45,54 +43,77 @@ class ForceTerm(ForceDensity):
         return tau * F, n * F
 
 
-class NormalForceTerm(ForceTerm):
-    """A force along n that is a function of the lateral velocity u_n."""
+class VelocityTerm(Powers, ForceDensity):
+    """F_n [N/m] is a function of the lateral velocity u_n in one part of the robot."""
 
-    def state(self, x):
+    term_curve = VELOCITY
+
+    scale: Scalar = shape_parameter(SPEED, 1e-3, 100.0, "m/s", "the speeds of a soft robot")
+    """Largest visited |u_n|."""
+
+    def state(self, x: Section) -> Array:
+        """Returns u_n in each cell."""
         return x.u_n
 
-    def direction(self):
-        return 0.0, 1.0
+    @abstractmethod
+    def cells(self, x: Section) -> Array:
+        """Returns 1 in the cells on which the force acts, and 0 in the other cells."""
+
+    @abstractmethod
+    def basis(self, z: Array) -> Float[Array, "3 ..."]:
+        """Returns the basis functions at the lateral velocity z."""
+
+    def force(self, x):
+        F = self.cells(x) * self.total(self.basis(self.state(x)))
+        return jnp.zeros_like(F), F
 
 
-class NormalForceLinear(NormalForceTerm):
-    """F_n = a u, with the lateral velocity u in units of `SPEED`."""
+class NormalForceOnBody(VelocityTerm):
+    """F_n is an odd function of the lateral velocity u_n on the body."""
 
-    title = "normal force linear in the lateral velocity"
-    term_curve = VELOCITY
+    title = "normal force on the body that depends on the lateral velocity"
 
-    def basis(self, z):
-        return z / SPEED
-
-
-class NormalForceQuadratic(NormalForceTerm):
-    """F_n = a u |u|, with the lateral velocity u in units of `SPEED`."""
-
-    title = "normal force quadratic in the lateral velocity"
-    term_curve = VELOCITY
-
-    def basis(self, z):
-        return z * jnp.abs(z) / SPEED**2
-
-
-class NormalForceCubic(NormalForceTerm):
-    """F_n = a u^3, with the lateral velocity u in units of `SPEED`."""
-
-    title = "normal force cubic in the lateral velocity"
-    term_curve = VELOCITY
+    def cells(self, x):
+        return 1.0 - x.in_tail
 
     def basis(self, z):
-        return (z / SPEED) ** 3
+        return odd_powers(z / self.scale)
 
 
-class NormalForceOneSided(NormalForceTerm):
-    """F_n = a max(u, 0), with the lateral velocity u in units of `SPEED`."""
+class NormalForceOnTail(VelocityTerm):
+    """F_n is an odd function of the lateral velocity u_n on the tail."""
 
-    title = "normal force on one side"
-    term_curve = VELOCITY
+    title = "normal force on the tail that depends on the lateral velocity"
+
+    def cells(self, x):
+        return x.in_tail
 
     def basis(self, z):
-        return 0.5 * (z + magnitude(z, CORNER) - CORNER) / SPEED
+        return odd_powers(z / self.scale)
+
+
+class NormalForceOnBodyBySide(VelocityTerm):
+    """F_n is an even function of u_n on the body, so the robot's sides differ."""
+
+    title = "normal force on the body that differs between the sides"
+
+    def cells(self, x):
+        return 1.0 - x.in_tail
+
+    def basis(self, z):
+        return even_powers(z / self.scale)
+
+
+class NormalForceOnTailBySide(VelocityTerm):
+    """F_n is an even function of u_n on the tail, so the robot's sides differ."""
+
+    title = "normal force on the tail that differs between the sides"
+
+    def cells(self, x):
+        return x.in_tail
+
+    def basis(self, z):
+        return even_powers(z / self.scale)
 
 
 class NormalForceOfAcceleration(ForceTerm):

@@ -11,6 +11,7 @@ from calibration.model.extended import candidate_effects
 from slider_jax.effects import dictionary
 from slider_jax.effects.check import checked_effects
 from slider_jax.effects.library import DICTIONARY, LIBRARY
+from slider_jax.effects.powers import even_powers, odd_powers
 from slider_jax.experiment.load import assemble
 from slider_jax.simulation.effect_signature import built_in_experiment
 from slider_jax.simulation.trial import simulate_trial
@@ -28,7 +29,7 @@ def test_terms_vanish_at_their_nulls_and_have_finite_tangents(name):
 
 
 def test_the_dictionary_is_no_part_of_the_library():
-    assert len(FILES) == 4 and len(DICTIONARY) == 32
+    assert len(FILES) == 4 and len(DICTIONARY) == 33
     assert not set(DICTIONARY) & (set(LIBRARY) | set(candidate_effects()))
 
 
@@ -43,6 +44,14 @@ def test_a_term_has_a_basis_function_for_every_parameter_or_for_every_part(name)
         assert basis.shape == (len(effect.priors()), 5)
 
 
+def test_powers_are_constant_beyond_the_largest_visited_state():
+    z = jnp.array([-3.0, -1.0, -0.5, 0.5, 1.0, 3.0])
+    odd, even = np.asarray(odd_powers(z)), np.asarray(even_powers(z))
+    np.testing.assert_allclose(odd[2], [-1.0, -1.0, -0.125, 0.125, 1.0, 1.0])
+    np.testing.assert_allclose(odd, -odd[:, ::-1])
+    np.testing.assert_allclose(even, np.abs(odd))
+
+
 def test_the_simulation_of_a_model_file_contains_its_terms(tmp_path):
     content = built_in_experiment().model_dump()
     content["numerics"] |= {"nodes": 11, "step": 5e-3}
@@ -53,6 +62,6 @@ def test_the_simulation_of_a_model_file_contains_its_terms(tmp_path):
         experiment = assemble(content, "test", tmp_path, tmp_path / "model.toml")
         return simulate_trial(experiment, declared_drive=True).series["thrust"]
 
-    table = '[[effects]]\nname = "normal_force_cubic"\nbody = {}\ntail = {}\n'
+    table = '[[effects]]\nname = "normal_force_on_tail"\nb = {}\nc = {}\n'
     null, changed = thrust(table.format(0.0, 0.0)), thrust(table.format(-5.0, -5.0))
     assert np.isfinite(changed).all() and np.abs(changed - null).max() > 1e-3 * np.abs(null).max()

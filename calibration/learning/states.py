@@ -1,0 +1,67 @@
+"""The states of dictionary terms that a trial visits."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from calibration.model.predict import BLOCK, TrialPlan
+from slider_jax.beam.equations import Section
+from slider_jax.channels import BUILT_IN, row_of
+from slider_jax.dynamics.model import Model
+from slider_jax.dynamics.pressures import REAR, chamber_history, set_pressures, start_chambers
+from slider_jax.dynamics.step import Snapshot, at_rest
+from slider_jax.effects import Chamber, Flow, Instrument, Readings
+from slider_jax.simulation.trial import advance_chunk, run_chunks
+
+PARTS = ("body", "tail")
+"""Parts of the robot that have their own parameter in some terms."""
+
+
+def _section(x: Snapshot) -> Section:
+    return x.section()
+
+
+def visited_states(
+    plan: TrialPlan, model: Model, readings: np.ndarray, terms: Mapping[str, Any]
+) -> dict[str, dict[str, np.ndarray]]:
+    """Returns the states of each term (effects by name) that a trial visits, by part of the robot.
+
+    The part is "body" or "tail", or "" for a term that has no parameter for each part. `readings`
+    (channels, samples) are the predicted readings of the trial.
+    """
+    t = jnp.asarray(plan.grid.times)
+    p, p_set = chamber_history(model, start_chambers(model), t).p, set_pressures(model, t).b1
+    chamber = Chamber(p, p_set, jnp.ones(()), REAR, jnp.sign(p))
+    rows = [jnp.asarray(readings[row_of(name)]) for name in BUILT_IN]
+    read, found = Readings(jnp.asarray(plan.at), *rows), {}
+    local = any(not isinstance(x, Flow | Instrument) for x in terms.values())
+    sections = _visited_sections(plan, model) if local else []
+    for name, term in terms.items():
+        if issubclass(type(term), Instrument):
+            found[name] = {"": np.ravel(term.state(read))}
+        elif issubclass(type(term), Flow):
+            found[name] = {"": np.ravel(term.state(chamber))}
+        else:
+            found[name] = _in_parts(term, sections, plan.grid.steps)
+    return found
+
+
+def _visited_sections(plan: TrialPlan, model: Model) -> list[Section]:
+    h = jnp.asarray(plan.grid.h)
+
+    def advance(done: int, carry):
+        t0 = jnp.asarray(plan.grid.h * done)
+        return advance_chunk(model, h, t0, carry, _section, plan.numerics, plan.scheme, BLOCK)
+
+    return run_chunks(advance, at_rest(model, plan.numerics), plan.grid.steps, BLOCK)[0]
+
+
+def _in_parts(term: Any, sections: list[Section], steps: int) -> dict[str, np.ndarray]:
+    z = np.concatenate([term.state(x) for x in sections])[:steps]
+    if set(term.priors()) == set(PARTS):
+        tail = np.asarray(sections[0].in_tail[0]) > 0.5
+        return {"body": z[:, ~tail].ravel(), "tail": z[:, tail].ravel()}
+    acts = np.asarray(term.cells(sections[0])[0]) > 0.5
+    return {"": z[:, acts].ravel()}
