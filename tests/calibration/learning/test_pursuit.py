@@ -25,8 +25,8 @@ PLACES = {
 }
 
 
-def found(truth, seed=0, shapes=SHAPES):
-    problem = Sums(truth, shapes, seed=seed)
+def found(truth, seed=0, shapes=SHAPES, kind=Sums):
+    problem = kind(truth, shapes, seed=seed)
     start = fit_gauss_newton(problem, ENTRIES, np.zeros(7), np.array([0]))
     residuals = problem.residuals(start.predicted, {})
     assert np.isclose(total(residuals), start.square)
@@ -54,6 +54,24 @@ def test_a_group_that_is_nearly_parallel_to_the_base_parameter_is_found():
     shapes[3] = shapes[0] + 0.1 * SHAPES[3]
     best, _ = found([1.0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0], shapes=shapes)
     assert best.groups == ["second"]
+
+
+class Turning(Sums):
+    """The readings grow with the parameter x of the group "second" as x + 5 x^2 up to x = 1."""
+
+    def _sum(self, theta):
+        moved, x = np.array(theta, float), theta[3]
+        moved[3] = x + 5.0 * x**2 if x < 1.0 else 26.0 - 20.0 * x
+        return super()._sum(moved)
+
+
+def test_a_group_is_found_although_the_linear_step_is_far_too_long(monkeypatch):
+    """The linear step to the truth of 0.5 is 1.75."""
+    truth = [1.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
+    (best, _) = found(truth, kind=Turning)
+    assert best.groups == ["second"] and np.isclose(best.fit.theta[3], 0.5, atol=0.02)
+    monkeypatch.setattr(pursuit, "START_SHARES", (1.0,))
+    assert "second" not in found(truth, kind=Turning)[0].groups
 
 
 def test_noise_alone_has_no_group(monkeypatch):
