@@ -252,8 +252,7 @@ def run_case(
     }
     record["named_by"] = {}
     if compared:
-        used = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
-        fitted = part_of(outcome.problem, used)
+        fitted = part_of(outcome.problem, outcome.used_trials)
         s = other_methods.method_input(fitted, rest, outcome.entries, outcome.search.base)
         record["any_distortion_p"] = other_methods.any_distortion_p(s)
         for name, method in other_methods.METHODS.items():
@@ -314,7 +313,8 @@ def learned_record(learning: Learning) -> dict[str, Any]:
         "terms": model.terms,
         "place": learning.places[0].place,
         "equal_places": learning.equal_places,
-        "reaches_floor": not model.above_floor(learning.dictionary.outcome),
+        "reaches_floor": learning.reaches_floor,
+        "replaced_effects": model.dictionary.replaced,
         "excess_removed": {c: excess_removed(x) for c, x in model.errors.items()},
         "errors": model.errors,
     }

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from unknown_effects import UNKNOWN_EFFECTS
 
-from calibration.discrepancy.verdict import INCONCLUSIVE, NOTHING, PARTLY, UNEXPLAINED
+from calibration.discrepancy.verdict import INCONCLUSIVE, NOTHING, PARTLY, PROVISIONAL, UNEXPLAINED
 from slider_jax.effects.library import LIBRARY
 
 EXPLAINABLE = 1.1
@@ -38,7 +38,9 @@ def named_causes(case: dict[str, Any], method: str = "loop") -> list[set[str]]:
 
 
 def _is_named(case: dict[str, Any], effect: dict[str, Any]) -> bool:
-    return case["verdict"] != INCONCLUSIVE and not effect["above_floor"]
+    doubtful = effect["above_floor"] or effect["status"] == PROVISIONAL
+    replaced = case.get("learned", {}).get("replaced_effects", [])
+    return case["verdict"] != INCONCLUSIVE and not doubtful and effect["name"] not in replaced
 
 
 def matched_effects(causes: Sequence[set[str]], truth: Iterable[str]) -> int:

@@ -11,7 +11,9 @@ from summary import f1, is_right, matched_effects, skills  # noqa: E402
 
 
 def case(truth, causes, before=3.0, after=1.0):
-    effects = [{"name": c[0], "class": list(c[1:]), "above_floor": []} for c in causes]
+    effects = [
+        {"name": c[0], "class": list(c[1:]), "status": "", "above_floor": []} for c in causes
+    ]
     return {
         "case": {"effects": dict.fromkeys(truth)},
         "verdict": "class" if any(len(c) > 1 for c in causes) else "identified",

@@ -79,6 +79,16 @@ class LoopOutcome:
         return unstable_parameters(self.final, self.entries)
 
     @property
+    def corrections(self) -> list[str]:
+        """Added effects that may only resemble the cause.
+
+        If the fit did not converge, these are all effects. Otherwise, they are the effects with a
+        residual above the noise floor in a channel that they change.
+        """
+        doubtful = not self.chosen.converged
+        return [x.name for x in self.statuses if x.above_floor or doubtful]
+
+    @property
     def effects(self) -> list[str]:
         """Effects added to the model: all effects that passed their tests."""
         return self.search.effects

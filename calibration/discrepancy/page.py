@@ -231,7 +231,7 @@ def readings_figure(outcome: LoopOutcome):
 
 def _shown_trial(outcome: LoopOutcome):
     """Returns the trial that the added effects change most, and its predictions (before, after)."""
-    fitted = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
+    fitted = outcome.used_trials
     pairs = list(zip(outcome.search.base.predicted, outcome.chosen.predicted, strict=True))
     rows = [row_of(c) for c in outcome.problem.channels]
     difference = [

@@ -178,7 +178,7 @@ def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 def residual_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Returns the records of `locate_residuals` for the trials that were not held out."""
-    fitted = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
+    fitted = [outcome.problem.records[i] for i in outcome.used_trials]
     floor = outcome.search.settings.noise_floor
     return locate_residuals(fitted, outcome.chosen.predicted, outcome.excess, floor)
 
@@ -207,10 +207,11 @@ def _opening(outcome: LoopOutcome) -> list[str]:
     if outcome.verdict == UNEXPLAINED:
         channels = ", ".join(channels_above_floor(outcome.excess, outcome.search.settings))
         return [f"The model lacks an effect in {channels}, and no candidate explains the residual."]
+    if not outcome.search.final.converged:
+        opening = "Inconclusive: the" if outcome.verdict == INCONCLUSIVE else "The"
+        return [f"{opening} final fit did not converge."]
     if outcome.verdict != INCONCLUSIVE:
         return []
-    if not outcome.search.final.converged:
-        return ["Inconclusive: the final fit did not converge."]
     if outcome.search.vetoed:
         return ["Inconclusive: the held-out trials contradict the selected effect."]
     return ["Inconclusive: a candidate has a significant gain, but fails the cross-validation."]
@@ -218,8 +219,8 @@ def _opening(outcome: LoopOutcome) -> list[str]:
 
 def effect_sentences(outcome: LoopOutcome) -> list[str]:
     """Returns the first part of the verdict: which effects are causes, and which corrections."""
-    found, text = outcome.statuses, []
-    corrections = [x for x in found if x.above_floor or not outcome.search.final.converged]
+    found, text, doubtful = outcome.statuses, [], outcome.corrections
+    corrections = [x for x in found if x.name in doubtful]
     causes = [x for x in found if x not in corrections]
     if causes:
         text.append(f"The model lacked: {_titles(causes)}.")
@@ -275,7 +276,7 @@ def residual_sentence(outcome: LoopOutcome) -> str:
     above = channels_above_floor(outcome.excess, outcome.search.settings)
     if not above:
         return "The residual is at the noise floor."
-    fitted = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
+    fitted = [outcome.problem.records[i] for i in outcome.used_trials]
     parts = []
     for c in above:
         x, text = outcome.excess[c], []

@@ -83,8 +83,8 @@ def reach_verdict(
 ) -> str:
     """Returns the overall verdict from the statuses of the effects and the final residual.
 
-    If the final fit did not converge, all effects are provisional. The verdict is then
-    inconclusive, unless the residual shows that the effects do not explain the data.
+    If the final fit did not converge, the verdict is partly_explained if the model has added
+    effects and a residual above the noise floor, and otherwise inconclusive.
     """
     left = channels_above_floor(after, search.settings)
     if not search.final.converged:

@@ -85,7 +85,7 @@ def _again(outcome: LoopOutcome) -> dict[str, Any]:
 
 
 def _fitted(outcome: LoopOutcome) -> list[Record]:
-    return [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
+    return [outcome.problem.records[i] for i in outcome.used_trials]
 
 
 def _prediction(

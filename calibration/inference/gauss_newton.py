@@ -49,8 +49,9 @@ this number."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Fractions of a step that are tried in this order."""
 STALLED = 3
-"""A fit ends if this number of successive steps each gain less than the tolerance, although larger
-gains were predicted. Such a fit continues for tens of steps without a better prediction."""
+"""A fit ends after this many successive steps whose gain is below the tolerance although the
+predicted gain is above it. Without this limit, a fit of two nearly equal effects of the valves used
+all iterations."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
 """If the residual's mean square exceeds `POOR_FIT`, the model lacks an effect. Such a fit converges
 slowly, and is repeated with the missing effect. `ROUGH_GAIN_TOLERANCE` therefore replaces
@@ -160,9 +161,10 @@ def fit_gauss_newton(
     """Returns the fit of the entries `free` (indices) of `theta`; the other entries are fixed.
 
     A step is shortened if the simulation fails. The fit does not converge if the simulation or a
-    tangent at the start fails. `white` are the whiteners of the residuals (default: computed from
-    the readings at the start). Only fits with the same whiteners have comparable sums of squares.
-    If `exact` is false, the fit may end with tangents from differences and Broyden's formula.
+    tangent at the start fails, or if several steps gain much less than predicted. `white` are the
+    whiteners of the residuals (default: computed from the readings at the start). Only fits with
+    the same whiteners have comparable sums of squares. If `exact` is false, the fit may end with
+    tangents from differences and Broyden's formula.
     """
     bounds = Bounds.of([entries[i] for i in free])
     predicted = problem.predict(theta)
@@ -214,6 +216,9 @@ def fit_gauss_newton(
         else:
             J = None
         theta, predicted, residuals, square = trial, tried, found, total(found)
+    else:
+        J = problem.whitened(reading_derivatives(problem, entries, theta, free), white)
+        blocks = normal_equations(residuals, J)
     return Fit(theta, np.asarray(free), square, samples, blocks, predicted, converged)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from calibration.discrepancy.rounds import scoring_entries
 from calibration.inference.uncertainty import EFFECT_DISCREPANCY, correlations
-from calibration.learning.learn import RARE, Learning
-from calibration.learning.states import visited_states
+from calibration.learning.learn import Learning
+from calibration.learning.states import RARE, visited_states
 from slider_jax.effects import Curve
 from slider_jax.effects.library import DICTIONARY
 
@@ -40,7 +40,7 @@ def learned_curves(learning: Learning) -> list[LearnedCurve]:
     learned = learning.model
     assert learned is not None
     fit, problem = learned.fit, learned.problem
-    entries, theta = learning.dictionary.entries, jnp.asarray(fit.theta)
+    entries, theta = learned.dictionary.entries, jnp.asarray(fit.theta)
     models = [jax.tree.map(jnp.asarray, p.extended.at(theta)) for p in problem.coarse_plans]
     covariance = correlations(fit) * np.outer(fit.errors, fit.errors)
     values = {

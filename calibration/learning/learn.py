@@ -4,19 +4,17 @@ One half of the trials selects terms from the dictionary (`pursuit`). The other 
 coefficients of the selected terms. The held-out trials test the result.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome, growth_of_error
+from calibration.discrepancy.localise import locate_residuals
 from calibration.discrepancy.refits import Refits, effect_tangents
-from calibration.discrepancy.report import residual_records
-from calibration.discrepancy.rounds import relative_changes, scoring_entries
-from calibration.discrepancy.verdict import PARTLY, PROVISIONAL, UNEXPLAINED, channels_above_floor
+from calibration.discrepancy.rounds import Growth, relative_changes, scoring_entries
+from calibration.discrepancy.verdict import PARTLY, UNEXPLAINED, channels_above_floor
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, channel_errors, tested_excess
 from calibration.inference.problem import Swing, TankProblem, total
@@ -29,16 +27,13 @@ from calibration.learning.pursuit import (
     place_gains,
     stability,
 )
-from calibration.learning.states import visited_states
+from calibration.learning.states import largest_states
 from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
 from calibration.model.predict import TrialPlan
 from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import DICTIONARY
 
 Progress = Callable[[str], None]
-RARE = 0.005
-"""Fraction of the visited states that lies beyond each end of a function's table, and beyond the
-scale of a term. A state has extreme values in the instants when the drive switches."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +51,16 @@ class Dictionary:
 
     @classmethod
     def of(
-        cls, outcome: LoopOutcome, effects: Sequence[str], progress: Progress = lambda text: None
+        cls,
+        outcome: LoopOutcome,
+        effects: Sequence[str],
+        scales: Mapping[str, float],
+        progress: Progress = lambda text: None,
     ) -> "Dictionary":
         """Returns the problem with the `effects` of the outcome, and with all terms at their null.
 
-        If the outcome has other effects too, the model is fitted again without them.
+        `scales` are the scales of the terms. If `effects` is only a part of the outcome's effects,
+        the model is fitted again. Without effects, the model is the loop's base model.
         """
         assert isinstance(outcome.problem, TankProblem)
         names = (*effects, *DICTIONARY)
@@ -74,8 +74,6 @@ class Dictionary:
             if own is not None:
                 entries[i], theta[i] = outcome.entries[own], source.theta[own]
                 free += [i] if own in source.free else []
-        _set_frequencies(outcome, entries, theta)
-        _set_scales(outcome, entries, theta)
         start, problem = source._replace(theta=theta, free=np.array(free)), outcome.problem
 
         def plans(given: Sequence[TrialPlan]) -> list[TrialPlan]:
@@ -92,15 +90,22 @@ class Dictionary:
             start = fit_gauss_newton(
                 found.part(outcome.used_trials), entries, theta, start.free, progress
             )
-        return cls(outcome, list(effects), found, entries, start)
+        theta = start.theta.copy()
+        frequencies = _frequencies(outcome, found, start)
+        for i, p in enumerate(entries):
+            if p.effect in DICTIONARY and p.is_shape:
+                sensor = DICTIONARY[p.effect].sensors[0]
+                x = scales.get(p.effect, frequencies.get(sensor, p.prior.null))
+                theta[i] = np.clip(x, p.prior.low, p.prior.high)
+        return cls(outcome, list(effects), found, entries, start._replace(theta=theta))
 
     @property
     def replaced(self) -> list[str]:
         """Effects of the outcome that the function replaces."""
         return [name for name in self.outcome.effects if name not in self.effects]
 
-    def started(self, chosen: Sequence[int]) -> list[np.ndarray]:
-        """Returns the readings of the model without terms in the trials `chosen`."""
+    def start_readings(self, chosen: Sequence[int]) -> list[np.ndarray]:
+        """Returns the predicted readings of `start` in the trials `chosen` (of all records)."""
         used = self.outcome.used_trials
         return [self.start.predicted[used.index(i)] for i in chosen]
 
@@ -116,7 +121,7 @@ class Dictionary:
 
     def search(self, chosen: Sequence[int], progress: Progress) -> list[PlaceGain]:
         """Returns the result at each place from the trials `chosen`."""
-        problem, predicted = self.problem.part(chosen), self.started(chosen)
+        problem, predicted = self.problem.part(chosen), self.start_readings(chosen)
         theta, free = self.start.theta, self.start.free
         white = problem.whiteners(predicted)
         residuals = problem.residuals(predicted, white)
@@ -128,44 +133,26 @@ class Dictionary:
         return place_gains(refits, start, self.places, problem.whitened(tangents, white))
 
 
-def _set_frequencies(outcome: LoopOutcome, entries: Sequence[Parameter], theta: np.ndarray) -> None:
-    """Sets the frequency of each sine term to the frequency found in the residual of its sensor."""
-    found: dict[str, float] = {}
-    for x in residual_records(outcome):
+def _frequencies(outcome: LoopOutcome, problem: TankProblem, start: Fit) -> dict[str, float]:
+    """Returns the frequency [Hz] of the largest sine in the residual of each sensor."""
+    part, found = problem.part(outcome.used_trials), dict[str, float]()
+    left = tested_excess(part, start)
+    floor = outcome.search.settings.noise_floor
+    for x in locate_residuals(part.records, start.predicted, left, floor):
         channel = x["channel"]
         sensor = "pressure" if CHANNELS[channel].kind == "pressure" else channel
-        lines = [p for p in outcome.excess[channel].patterns if p.has_line]
+        lines = [p for p in left[channel].patterns if p.has_line]
         if lines:
             found[sensor] = min(lines, key=lambda p: p.line_p).frequency_Hz
         found.setdefault(sensor, x["in_worst_trial"]["peak_Hz"])
-    for i, p in enumerate(entries):
-        if p.name == "frequency" and p.effect in DICTIONARY:
-            sensor = DICTIONARY[p.effect].sensors[0]
-            theta[i] = np.clip(found.get(sensor, p.prior.null), p.prior.low, p.prior.high)
-
-
-def _set_scales(outcome: LoopOutcome, entries: Sequence[Parameter], theta: np.ndarray) -> None:
-    """Sets the scale of each term to the largest state that the trials of the fit visit."""
-    assert isinstance(outcome.problem, TankProblem)
-    scaled = [i for i, p in enumerate(entries) if p.name == "scale" and p.effect in DICTIONARY]
-    terms = {entries[i].effect: DICTIONARY[entries[i].effect]() for i in scaled}
-    problem = outcome.problem.part(outcome.used_trials)
-    values = jnp.asarray(outcome.chosen.theta)
-    visited = [
-        visited_states(p, jax.tree.map(jnp.asarray, p.extended.at(values)), y, terms)
-        for p, y in zip(problem.coarse_plans, outcome.chosen.predicted, strict=True)
-    ]
-    for i in scaled:
-        p = entries[i]
-        z = np.abs(np.concatenate([x[p.effect][""] for x in visited]))
-        largest = float(np.quantile(z[np.isfinite(z)], 1.0 - RARE))
-        theta[i] = np.clip(largest, p.prior.low, p.prior.high)
+    return found
 
 
 @dataclass(frozen=True)
 class LearnedModel:
     """A model with a learned function, fitted to the trials that did not select the terms."""
 
+    dictionary: Dictionary
     terms: list[str]
     fit: Fit
     problem: TankProblem
@@ -173,6 +160,8 @@ class LearnedModel:
     stability: dict[str, Stability]
     errors: dict[str, dict[str, float]]
     """`channel_errors` without and with the function, on the trials `tested`."""
+    growth: Growth
+    """Growth of the error in the trials `tested`, relative to the loop's model with all effects."""
     tested: list[int]
     """The held-out trials, or the estimation trials if no trial was held out."""
     excess: list[dict[str, Excess]]
@@ -180,9 +169,10 @@ class LearnedModel:
     sizes: dict[str, float]
     """rms change of each channel in the estimation trials, divided by the channel's rms."""
 
-    def above_floor(self, outcome: LoopOutcome) -> list[str]:
-        """Returns the channels whose residual is still above the noise floor."""
-        settings = outcome.search.settings
+    @property
+    def above_floor(self) -> list[str]:
+        """Channels whose residual is still above the noise floor."""
+        settings = self.dictionary.outcome.search.settings
         return sorted({c for x in self.excess for c in channels_above_floor(x, settings)})
 
 
@@ -190,7 +180,7 @@ class LearnedModel:
 class Learning:
     """Result of the search for a learned function."""
 
-    dictionary: Dictionary
+    outcome: LoopOutcome
     selection: list[int] = field(default_factory=list)
     """Trials (indices of all records) that select the terms."""
     estimation: list[int] = field(default_factory=list)
@@ -206,12 +196,12 @@ class Learning:
     @property
     def reaches_floor(self) -> bool:
         """Whether a function was learned and the residual with it is at the noise floor."""
-        return self.model is not None and not self.model.above_floor(self.dictionary.outcome)
+        return self.model is not None and not self.model.above_floor
 
     @property
     def equal_places(self) -> list[str]:
         """Other places whose gain is nearly as large as the gain of the best place."""
-        share = self.dictionary.outcome.search.settings.equal_gain_share
+        share = self.outcome.search.settings.equal_gain_share
         best, *rest = self.places
         return [x.place for x in rest if x.gain > share * best.gain]
 
@@ -219,59 +209,70 @@ class Learning:
 def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) -> Learning | None:
     """Returns the result of learning, or None if the verdict requires no learned function.
 
-    An effect with a residual above the noise floor may only resemble the cause. The function is
-    therefore learned without such effects first. If the residual with this function remains above
-    the noise floor, a function is learned beside all effects too, and the better model is returned.
+    A correction may only resemble the cause. The function is therefore learned without the
+    corrections first. If the residual with this function remains above the noise floor, a function
+    is learned beside all effects too. The result is then the function that reaches the noise floor,
+    or the function with the smaller error if its error is below the error of the loop's model.
     """
     if outcome.verdict not in (PARTLY, UNEXPLAINED):
         return None
-    statuses = outcome.statuses
-    doubtful = [x.name for x in statuses if x.above_floor or x.status == PROVISIONAL]
-    found = _learned(outcome, [n for n in outcome.effects if n not in doubtful], progress)
-    if not doubtful or not found.estimation or found.reaches_floor:
-        return found
-    beside = _learned(outcome, outcome.effects, progress)
-    if found.model is None or beside.model is None:
-        return beside if found.model is None else found
-    return beside if beside.model.fit.square < found.model.fit.square else found
-
-
-def _learned(outcome: LoopOutcome, effects: Sequence[str], progress: Progress) -> Learning:
-    """Returns the function that is learned beside the `effects` of the outcome."""
     used = outcome.used_trials
     parts = halves([outcome.problem.records[i].trial.frequency for i in used])
     if len(parts[1]) < MIN_HALF:
-        found = Learning(Dictionary.of(outcome, outcome.effects))
-        found.reason = (
+        few = Learning(outcome)
+        few.reason = (
             f"only {len(used)} trials were not held out; each half needs {MIN_HALF} trials, so an "
-            f"experiment needs at least eight usable trials"
+            f"experiment with eight usable trials is enough"
         )
+        return few
+    assert isinstance(outcome.problem, TankProblem)
+    scales = largest_states(outcome.problem.part(used), outcome.chosen)
+    selection, estimation = ([used[k] for k in part] for part in parts)
+
+    def learned(effects: Sequence[str]) -> Learning:
+        known = Dictionary.of(outcome, effects, scales, progress)
+        return _learned(Learning(outcome, selection, estimation), known, progress)
+
+    found = learned([n for n in outcome.effects if n not in outcome.corrections])
+    if not outcome.corrections or found.reaches_floor:
         return found
-    found = Learning(Dictionary.of(outcome, effects, progress))
-    found.selection, found.estimation = ([used[k] for k in part] for part in parts)
-    beside = f" beside {', '.join(effects)}" if effects else ""
+    beside = learned(outcome.effects)
+    better = [
+        (x.model.growth.mean, k, x)
+        for k, x in enumerate((beside, found))
+        if x.model is not None and x.model.growth.mean < 0.0
+    ]
+    return beside if beside.reaches_floor or not better else min(better)[2]
+
+
+def _learned(found: Learning, known: Dictionary, progress: Progress) -> Learning:
+    """Selects and estimates terms of the dictionary. Returns `found` with the result."""
+    beside = f" beside {', '.join(known.effects)}" if known.effects else ""
     progress(f"scoring {len(DICTIONARY)} terms of the dictionary{beside}")
-    found.places = found.dictionary.search(found.selection, progress)
+    found.places = known.search(found.selection, progress)
     best = found.places[0]
-    if not best.groups:
+    if best.groups:
+        _estimate(found, known, best, progress)
+    else:
         found.reason = "no term of the dictionary has a significant gain"
-        return found
-    _estimate(found, best, progress)
     return found
 
 
-def _estimate(found: Learning, best: PlaceGain, progress: Progress) -> None:
+def _estimate(found: Learning, known: Dictionary, best: PlaceGain, progress: Progress) -> None:
     """Fits the terms of the `best` place to the other half, and sets `model` or `reason`."""
-    known = found.dictionary
     problem, groups = known.problem.part(found.estimation), scoring_entries(known.entries)
     terms, theta = best.groups, best.fit.theta
     while terms:
         progress(f"estimating {', '.join(terms)}")
         free = np.concatenate([known.start.free, *(groups[name] for name in terms)])
         fit = fit_gauss_newton(problem, known.entries, theta, free, progress)
-        # The held-out trials judge the function, so an incomplete fit may be used.
         if not np.isfinite(fit.errors).all():
-            found.reason = f"the model with {', '.join(terms)} cannot be simulated"
+            names = ", ".join(terms)
+            found.reason = f"the simulation or a derivative of the model with {names} failed"
+            return
+        # Held-out trials judge the function, so that an incomplete fit may be used.
+        if not (fit.converged or found.outcome.held):
+            found.reason = f"the fit with {', '.join(terms)} did not converge"
             return
         confirmed = {
             name: stability(
@@ -285,7 +286,7 @@ def _estimate(found: Learning, best: PlaceGain, progress: Progress) -> None:
         }
         weak = [name for name, x in confirmed.items() if not x.confirmed]
         if not weak:
-            _conclude(found, problem, terms, fit, confirmed, progress)
+            _conclude(found, known, terms, fit, confirmed, progress)
             return
         worst = max(weak, key=lambda name: (confirmed[name].p, confirmed[name].change))
         progress(f"dropping {worst}: the other half of the trials does not confirm it")
@@ -297,32 +298,34 @@ def _estimate(found: Learning, best: PlaceGain, progress: Progress) -> None:
 
 def _conclude(
     found: Learning,
-    problem: TankProblem,
+    known: Dictionary,
     terms: list[str],
     fit: Fit,
     confirmed: dict[str, Stability],
     progress: Progress,
 ) -> None:
     """Tests the fit on the held-out trials, and sets `model` or `reason`."""
-    known, outcome = found.dictionary, found.dictionary.outcome
+    outcome, tested = found.outcome, found.outcome.held or found.estimation
     assert isinstance(outcome.problem, TankProblem)
-    own = known.started(found.estimation)
+    problem, own = known.problem.part(found.estimation), known.start_readings(found.estimation)
     sizes = relative_changes(problem, own, fit.predicted)
     limits = problem.discrepancies
     if not any(x > limits[c] for c, x in sizes.items()):
         found.reason = "the terms change every channel by less than the discretisation discrepancy"
         return
-    excess, tested = [tested_excess(problem, fit)], outcome.held or found.estimation
-    errors = channel_errors(problem, own, fit.predicted)
+    excess, rest, before, after = [tested_excess(problem, fit)], problem, own, fit.predicted
     if outcome.held:
         progress("predicting the held-out trials with the learned function")
-        rest = known.problem.part(outcome.held)
+        rest = known.problem.part(tested)
         before, after = (rest.predict(x.theta) for x in (known.start, fit))
-        of_loop = outcome.problem.part(outcome.held).predict(outcome.chosen.theta)
-        if growth_of_error(rest, of_loop, after).vetoes(outcome.search.settings):
-            found.reason = "the selected terms increase the error in the held-out trials"
-            return
-        errors = channel_errors(rest, before, after)
         excess.append(tested_excess(rest, fit._replace(predicted=after)))
+    of_loop = outcome.problem.part(tested).predict(outcome.chosen.theta)
+    growth = growth_of_error(rest, of_loop, after)
+    if growth.vetoes(outcome.search.settings):
+        found.reason = "the selected terms increase the error in the held-out trials"
+        return
+    errors = channel_errors(rest, before, after)
     fit = widen_by_correlation(problem, fit)
-    found.model = LearnedModel(terms, fit, problem, confirmed, errors, tested, excess, sizes)
+    found.model = LearnedModel(
+        known, terms, fit, problem, confirmed, errors, growth, tested, excess, sizes
+    )

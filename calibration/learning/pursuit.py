@@ -158,13 +158,14 @@ def stability(
 ) -> Stability:
     """Returns the stability of the fitted `group` in the estimation trials.
 
-    `blocks` are the normal equations of the fitted parameters at the optimum. `values` are the
-    fitted values minus the nulls. `group` are the indices of the group in `values`. `many` is the
-    number of selected groups, and `unit` is the residual's mean square. The change of the group's
-    function is measured in the readings of the remaining trials. Only the part of the change that
-    the other parameters cannot absorb counts.
+    `blocks` are the normal equations of the fitted parameters at the end of the fit. `values` are
+    the fitted values minus the nulls. `group` are the indices of the group in `values`. `many` is
+    the number of selected groups, and `unit` is the residual's mean square. The change of the
+    group's function is measured in the readings of the remaining trials. Only the part of the
+    change that the other parameters cannot absorb counts.
     """
-    A, _ = summed(blocks)
+    A, b = summed(blocks)
+    remaining = inverse(A) @ b
     rest = np.setdiff1d(np.arange(len(A)), group)
     metric, a = marginal_information(A, group, rest), values[group]
     size = float(a @ metric @ a)
@@ -173,6 +174,6 @@ def stability(
     for trial in {x.trial for x in blocks}:
         own_A, own_b = summed([x for x in blocks if x.trial != trial])
         own = marginal_information(own_A, group, rest)
-        step = (inverse(own_A) @ own_b)[group]
+        step = (inverse(own_A) @ own_b - remaining)[group]
         changes.append(float(step @ own @ step) / max(float(a @ own @ a), 1e-300))
     return Stability(p, float(np.sqrt(max(changes))))

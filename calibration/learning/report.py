@@ -39,7 +39,7 @@ def learned_record(
     learning: Learning, progress: Progress = lambda text: None, effort: SearchEffort = LOOP_EFFORT
 ) -> dict[str, Any]:
     """Returns the value of the key `learned` in report.json."""
-    records, learned = learning.dictionary.problem.records, learning.model
+    records, learned = learning.outcome.problem.records, learning.model
     found: dict[str, Any] = {
         "status": LEARNED if learned else None,
         "reason": learning.reason,
@@ -53,12 +53,13 @@ def learned_record(
     }
     if learned is None:
         return found | {"said": f"No function was learned: {learning.reason}."}
-    entries = learning.dictionary.entries
+    entries = learned.dictionary.entries
     found |= {
         "said": learned_text(learning),
         "place": learning.places[0].place,
         "equivalent_places": learning.equal_places,
-        "replaced_effects": learning.dictionary.replaced,
+        "replaced_effects": learned.dictionary.replaced,
+        "converged": learned.fit.converged,
         "terms": [
             {
                 "name": name,
@@ -78,7 +79,7 @@ def learned_record(
         },
         "tested_trials": [records[i].trial.file for i in learned.tested],
         "changes": learned.sizes,
-        "above_floor": learned.above_floor(learning.dictionary.outcome),
+        "above_floor": learned.above_floor,
     }
     progress("searching the trial that tests the learned function")
     return found | {"test": testing_trial(learning, effort, progress)}
@@ -122,12 +123,15 @@ def learned_text(learning: Learning) -> str:
     titles = ", ".join(f"{DICTIONARY[n].title} ({n})" for n in learned.terms)
     text = f"At the place {learning.places[0].place}, the model learned: {titles}."
     text += " A learned function describes the residual; it is not an identified cause."
-    replaced = learning.dictionary.replaced
+    replaced = learned.dictionary.replaced
     if replaced:
-        text += f" The function replaces the provisional effects: {', '.join(replaced)}."
+        text += f" model.toml does not contain {', '.join(replaced)}: the function replaces "
+        text += "this correction." if len(replaced) == 1 else "these corrections."
+    if not learned.fit.converged:
+        text += " The fit of the function did not converge."
     if learning.equal_places:
         text += f" Terms of {', '.join(learning.equal_places)} explain the residual equally well."
-    above = learned.above_floor(learning.dictionary.outcome)
+    above = learned.above_floor
     if above:
         return text + f" The residual of {', '.join(above)} remains above the noise floor."
     return text + " With this function, the residual is at the noise floor."
@@ -141,9 +145,10 @@ def testing_trial(
     The change is stated in standard deviations of the noise. The part of the change that the other
     parameters can absorb does not count.
     """
-    known, learned = learning.dictionary, learning.model
+    learned = learning.model
     assert learned is not None
-    problem, outcome = known.problem, known.outcome
+    known, outcome = learned.dictionary, learning.outcome
+    problem = known.problem
     noise = {(problem.records[i].trial.file, c): x for (i, c), x in problem.noise.items()}
     prediction = TrialInformation(
         outcome.experiment,
@@ -179,9 +184,9 @@ def testing_trial(
 
 def learned_model_toml(outcome: LoopOutcome, learning: Learning) -> str:
     """Returns the model with the learned function, for `slider simulate --model`."""
-    entries, learned = learning.dictionary.entries, learning.model
+    learned = learning.model
     assert learned is not None
-    names = [*learning.dictionary.effects, *learned.terms]
+    entries, names = learned.dictionary.entries, [*learned.dictionary.effects, *learned.terms]
     kept = [i for i, p in enumerate(entries) if p.effect in names or i in learned.fit.free]
     tables = model_tables([entries[i] for i in kept], learned.fit.theta[kept], names)
     return toml_text(tables, "\n".join([*verdict_sentences(outcome), learned_text(learning)]))
@@ -207,8 +212,9 @@ def learned_figure(record: dict[str, Any]):
 def learned_lines(record: dict[str, Any]) -> list[str]:
     """Returns a line for each channel's error without and with the function, in the tested trials.
 
-    `record` is the content of report.json. The model file contains the function, and the other
-    printed errors are those of the model without it.
+    `record` is the content of report.json. `before` is the error without the function and without
+    the replaced effects. The other printed errors and parameters belong to the loop's model, which
+    has all added effects and no function.
     """
     learned = record["learned"] or {}
     return [

@@ -1,11 +1,14 @@
-"""The states of dictionary terms that a trial visits."""
+"""Computes the states that a trial visits, for each term of the dictionary."""
 
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from calibration.inference.gauss_newton import Fit
+from calibration.inference.problem import TankProblem
 from calibration.model.predict import BLOCK, TrialPlan
 from slider_jax.beam.equations import Section
 from slider_jax.channels import BUILT_IN, row_of
@@ -13,8 +16,12 @@ from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.pressures import REAR, chamber_history, set_pressures, start_chambers
 from slider_jax.dynamics.step import Snapshot, at_rest
 from slider_jax.effects import Chamber, Flow, Instrument, Readings
+from slider_jax.effects.library import DICTIONARY
 from slider_jax.simulation.trial import advance_chunk, run_chunks
 
+RARE = 0.005
+"""Fraction of the visited states beyond each end of a function's table. The same fraction of the
+states exceeds the scale of a term. A state has extreme values when the drive switches."""
 PARTS = ("body", "tail")
 """Parts of the robot that have their own parameter in some terms."""
 
@@ -36,7 +43,7 @@ def visited_states(
     chamber = Chamber(p, p_set, jnp.ones(()), REAR, jnp.sign(p))
     rows = [jnp.asarray(readings[row_of(name)]) for name in BUILT_IN]
     read, found = Readings(jnp.asarray(plan.at), *rows), {}
-    local = any(not isinstance(x, Flow | Instrument) for x in terms.values())
+    local = not all(isinstance(x, Flow | Instrument) for x in terms.values())
     sections = _visited_sections(plan, model) if local else []
     for name, term in terms.items():
         if issubclass(type(term), Instrument):
@@ -65,3 +72,21 @@ def _in_parts(term: Any, sections: list[Section], steps: int) -> dict[str, np.nd
         return {"body": z[:, ~tail].ravel(), "tail": z[:, tail].ravel()}
     acts = np.asarray(term.cells(sections[0])[0]) > 0.5
     return {"": z[:, acts].ravel()}
+
+
+def largest_states(problem: TankProblem, fit: Fit) -> dict[str, float]:
+    """Returns the quantile 1 - `RARE` of the |state| of each term that has a scale.
+
+    `fit` is a fit to the trials of `problem`.
+    """
+    terms = {n: kind() for n, kind in DICTIONARY.items() if "scale" in kind.shapes()}
+    theta = jnp.asarray(fit.theta)
+    visited = [
+        visited_states(p, jax.tree.map(jnp.asarray, p.extended.at(theta)), y, terms)
+        for p, y in zip(problem.coarse_plans, fit.predicted, strict=True)
+    ]
+    found = {}
+    for name in terms:
+        z = np.abs(np.concatenate([x[name][""] for x in visited]))
+        found[name] = float(np.quantile(z[np.isfinite(z)], 1.0 - RARE))
+    return found

@@ -1,11 +1,17 @@
-"""Functions that several effects share: smooth limits; delays, lags and resonances of series."""
+"""Functions that several effects share: smooth limits, powers, and delays, lags and resonances."""
 
+from typing import ClassVar
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import parameter
 
+WHY_FACTOR = "20 times the unit of a term is more than any known law adds"
 LIMIT_EXPONENT = 32
 """Exponent of the function `limited`. Compared with a hard limit, the result is 2 % smaller for an
 x at the limit, and 0.1 % smaller for an x at 90 % of the limit."""
@@ -114,3 +120,41 @@ def resonant_sample(
 ) -> Array:
     """Returns the last sample of `resonant`, computed from the previous samples `y`."""
     return _resonant_next((y[-1], y[-2], y[-3]), x[-1], t[-1] - t[-2], c, b)
+
+
+def odd_powers(z: Array) -> Float[Array, "3 ..."]:
+    """Returns z, z |z| and z^3. Beyond -1 and 1, each function is constant."""
+    z = jnp.clip(z, -1.0, 1.0)
+    return jnp.stack([z, z * jnp.abs(z), z**3])
+
+
+def even_powers(z: Array) -> Float[Array, "3 ..."]:
+    """Returns |z|, z^2 and |z|^3. Beyond -1 and 1, each function is constant."""
+    size = jnp.minimum(jnp.abs(z), 1.0)
+    return jnp.stack([size, size**2, size**3])
+
+
+class Powers(eqx.Module):
+    """A sum of three functions of a state, each multiplied by a parameter."""
+
+    a: Scalar = parameter(0.0, -20.0, 20.0, "-", WHY_FACTOR)
+    """Factor of the first function."""
+    b: Scalar = parameter(0.0, -20.0, 20.0, "-", WHY_FACTOR)
+    """Factor of the second function."""
+    c: Scalar = parameter(0.0, -20.0, 20.0, "-", WHY_FACTOR)
+    """Factor of the third function."""
+
+    def total(self, basis: Float[Array, "3 ..."]) -> Array:
+        """Returns the sum of the basis functions, each multiplied by its parameter."""
+        return self.a * basis[0] + self.b * basis[1] + self.c * basis[2]
+
+
+class PartPowers(Powers):
+    """A sum of three functions of a state in one part of the robot."""
+
+    part: ClassVar[str] = "body"
+    """Part of the robot, "body" or "tail"."""
+
+    def cells(self, x: Section) -> Array:
+        """Returns 1 in the cells of the part, and 0 in the other cells."""
+        return x.in_tail if self.part == "tail" else 1.0 - x.in_tail

@@ -8,14 +8,14 @@ from jaxtyping import Array, Float
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, Curve, parameter, shape_parameter
-from slider_jax.effects.functions import magnitude
-from slider_jax.effects.powers import Powers, even_powers, odd_powers
+from slider_jax.effects.functions import PartPowers, even_powers, magnitude, odd_powers
 
 CURVATURE, RATE, MOMENT = 3.0, 60.0, 0.05
 """Curvature [1/m], rate of the curvature [1/(m s)] and moment [N m] in a typical stride at 5 Hz.
-The parameter of a term of the curvature or its rate is the term's M/EI at this value."""
+The parameter of a term of the rate is the term's M/EI at the rate `RATE`."""
 CORNER = 0.1
-"""Width of the smooth corner of dry friction and of |p|, in typical rates and largest pressures."""
+"""Width of the smooth corner: of dry friction as a fraction of `RATE`, of |p| as a fraction of the
+scale."""
 WHY = "the elastic moment divided by EI is 3 1/m at kappa = 3 1/m"
 OF_KAPPA = Curve("curvature kappa", "1/m", "moment M/EI", "1/m")
 OF_RATE = Curve("rate of curvature d(kappa)/dt", "1/(m s)", "moment M/EI", "1/m")
@@ -44,21 +44,18 @@ class MomentTerm(BendingMoment):
         return x.EI * factor * self.basis(self.state(x)), memory
 
 
-class CurvatureTerm(Powers, BendingMoment):
+class CurvatureTerm(PartPowers, BendingMoment):
     """M/EI is a function of the curvature kappa in one part of the robot."""
 
     term_curve = OF_KAPPA
 
     scale: Scalar = shape_parameter(CURVATURE, 1e-2, 1e3, "1/m", "the curvatures of a soft robot")
-    """Largest visited |kappa|."""
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |kappa|."""
 
     def state(self, x: Section) -> Array:
         """Returns the curvature in each cell."""
         return x.kappa
-
-    def cells(self, x: Section) -> Array:
-        """Returns 1 in the cells with the moment, and 0 in the other cells."""
-        return x.in_tail if self.segments == ("tail",) else 1.0 - x.in_tail
 
     @abstractmethod
     def basis(self, z: Array) -> Float[Array, "3 ..."]:
@@ -82,7 +79,7 @@ class MomentOfTail(CurvatureTerm):
     """M/EI is an odd function of the curvature kappa in the tail."""
 
     title = "moment of the tail that depends on the curvature"
-    segments = ("tail",)
+    segments, part = ("tail",), "tail"
 
     def basis(self, z):
         return self.scale * odd_powers(z / self.scale)
@@ -102,7 +99,7 @@ class MomentOfTailBySide(CurvatureTerm):
     """M/EI is an even function of the curvature kappa in the tail, so the robot's sides differ."""
 
     title = "moment of the tail that depends on the curvature and differs between the sides"
-    segments = ("tail",)
+    segments, part = ("tail",), "tail"
 
     def basis(self, z):
         return self.scale * even_powers(z / self.scale)
@@ -147,7 +144,7 @@ class MomentOfRateSaturated(MomentTerm):
         return z / RATE / magnitude(z / RATE, CORNER)
 
 
-class MomentOfPressure(Powers, BendingMoment):
+class MomentOfPressure(PartPowers, BendingMoment):
     """M is a function of the pressure of the chamber."""
 
     title = "bending moment that depends on the pressure"
@@ -155,15 +152,12 @@ class MomentOfPressure(Powers, BendingMoment):
     term_curve = Curve("pressure of the chamber", "Pa", "moment M", "N m")
 
     scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", "the pressures of a soft robot")
-    """Largest visited |p|."""
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |p|."""
 
     def state(self, x: Section) -> Array:
         """Returns the pressure [Pa] of the chamber at each cell."""
         return x.pressure
-
-    def cells(self, x: Section) -> Array:
-        """Returns 1 in the cells with the moment, and 0 in the other cells."""
-        return 1.0 - x.in_tail
 
     def basis(self, z: Array) -> Float[Array, "3 ..."]:
         """Returns the basis functions at the pressure z [Pa].

@@ -7,8 +7,7 @@ from jaxtyping import Array, Float
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Curve, Flow, shape_parameter
-from slider_jax.effects.functions import magnitude
-from slider_jax.effects.powers import Powers, even_powers, odd_powers
+from slider_jax.effects.functions import Powers, even_powers, magnitude, odd_powers
 
 CORNER = 0.02
 """Width of the smooth corner of the square root, as a fraction of the largest difference."""
@@ -43,7 +42,8 @@ class PressureTerm(FlowTerm):
     term_curve = Curve("pressure p", "Pa", "change of dp/dt", "Pa/s")
 
     scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", WHY_SCALE)
-    """Largest visited |p|."""
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |p|."""
 
     def state(self, x):
         return x.p
@@ -74,7 +74,8 @@ class DifferenceTerm(FlowTerm):
     """A term whose function depends on the difference p_set - p."""
 
     scale: Scalar = shape_parameter(300e3, 1e3, 4e6, "Pa", WHY_SCALE)
-    """Largest visited |p_set - p|."""
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |p_set - p|."""
 
 
 class FlowOfDifference(DifferenceTerm):
@@ -88,7 +89,7 @@ class FlowOfDifference(DifferenceTerm):
 
     def basis(self, z):
         # A linear function would be the lag of the base model, so a square root replaces it.
-        e = z / self.scale
+        e = jnp.clip(z / self.scale, -1.0, 1.0)
         linear, *powers = odd_powers(e)
         return RATE * jnp.stack([linear / jnp.sqrt(magnitude(e, CORNER)), *powers])
 
@@ -112,14 +113,14 @@ class FlowOfFilling(DifferenceTerm):
         return x.side
 
 
-class ValveOpening(Powers, Flow):
-    """1/k changes by a function f of |p|: dp/dt changes by f (p_set - p)."""
+class OpeningTerm(Powers, Flow):
+    """1/k changes by a function f of |p|, so dp/dt changes by a part of f (p_set - p)."""
 
-    title = "valve whose opening depends on the pressure"
     term_curve = Curve("pressure |p|", "Pa", "change of 1/k", "1/s")
 
     scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", WHY_SCALE)
-    """Largest visited |p|."""
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |p|."""
 
     def state(self, x: Chamber) -> Array:
         """Returns |p| of the chambers."""
@@ -129,15 +130,28 @@ class ValveOpening(Powers, Flow):
         """Returns the basis functions at the state z. The parameter k describes a constant f."""
         return OPENING * even_powers(z / self.scale)
 
+    @abstractmethod
+    def acts(self, x: Chamber) -> Array:
+        """Returns whether f acts in the chambers."""
+
     def rate(self, rate, x):
-        return rate + self.total(self.basis(self.state(x))) * (x.p_set - x.p)
+        change = self.total(self.basis(self.state(x))) * (x.p_set - x.p)
+        return rate + jnp.where(self.acts(x), change, 0.0)
 
 
-class VentingOpening(ValveOpening):
+class ValveOpening(OpeningTerm):
+    """1/k changes by a function f of |p|."""
+
+    title = "valve whose opening depends on the pressure"
+
+    def acts(self, x):
+        return jnp.ones_like(x.filling)
+
+
+class VentingOpening(OpeningTerm):
     """1/k changes by a function f of |p| while the chamber vents."""
 
     title = "valve whose opening depends on the pressure while the chamber vents"
 
-    def rate(self, rate, x):
-        f = self.total(self.basis(self.state(x)))
-        return rate + f * jnp.where(x.filling, 0.0, x.p_set - x.p)
+    def acts(self, x):
+        return ~x.filling

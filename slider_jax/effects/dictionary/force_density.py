@@ -8,11 +8,13 @@ from jaxtyping import Array, Float
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, ForceDensity, parameter, shape_parameter
-from slider_jax.effects.powers import Powers, even_powers, odd_powers
+from slider_jax.effects.functions import PartPowers, even_powers, odd_powers
 
 SPEED, ACCELERATION, CURVATURE = 0.5, 10.0, 3.0
 """Lateral speed [m/s], lateral acceleration [m/s^2] and curvature [1/m] in a typical stride (5 Hz).
-The parameter of a term is the force at the term's value of these three."""
+The parameter of a term with a factor for each part is the force at the term's value of these."""
+FORCE = 10.0
+"""Force per length [N/m], about the drag of the crossflow at 0.5 m/s with C_d = 3."""
 WHY = "the drag of the crossflow at 0.5 m/s is 11 N/m with C_d = 3"
 VELOCITY = Curve("lateral velocity u_n", "m/s", "normal force F_n", "N/m")
 
@@ -43,21 +45,18 @@ class ForceTerm(ForceDensity):
         return tau * F, n * F
 
 
-class VelocityTerm(Powers, ForceDensity):
+class VelocityTerm(PartPowers, ForceDensity):
     """F_n [N/m] is a function of the lateral velocity u_n in one part of the robot."""
 
     term_curve = VELOCITY
 
     scale: Scalar = shape_parameter(SPEED, 1e-3, 100.0, "m/s", "the speeds of a soft robot")
-    """Largest visited |u_n|."""
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |u_n|."""
 
     def state(self, x: Section) -> Array:
         """Returns u_n in each cell."""
         return x.u_n
-
-    @abstractmethod
-    def cells(self, x: Section) -> Array:
-        """Returns 1 in the cells on which the force acts, and 0 in the other cells."""
 
     @abstractmethod
     def basis(self, z: Array) -> Float[Array, "3 ..."]:
@@ -73,11 +72,8 @@ class NormalForceOnBody(VelocityTerm):
 
     title = "normal force on the body that depends on the lateral velocity"
 
-    def cells(self, x):
-        return 1.0 - x.in_tail
-
     def basis(self, z):
-        return odd_powers(z / self.scale)
+        return FORCE * odd_powers(z / self.scale)
 
 
 class NormalForceOnTail(VelocityTerm):
@@ -85,11 +81,10 @@ class NormalForceOnTail(VelocityTerm):
 
     title = "normal force on the tail that depends on the lateral velocity"
 
-    def cells(self, x):
-        return x.in_tail
+    part = "tail"
 
     def basis(self, z):
-        return odd_powers(z / self.scale)
+        return FORCE * odd_powers(z / self.scale)
 
 
 class NormalForceOnBodyBySide(VelocityTerm):
@@ -97,11 +92,8 @@ class NormalForceOnBodyBySide(VelocityTerm):
 
     title = "normal force on the body that differs between the sides"
 
-    def cells(self, x):
-        return 1.0 - x.in_tail
-
     def basis(self, z):
-        return even_powers(z / self.scale)
+        return FORCE * even_powers(z / self.scale)
 
 
 class NormalForceOnTailBySide(VelocityTerm):
@@ -109,11 +101,10 @@ class NormalForceOnTailBySide(VelocityTerm):
 
     title = "normal force on the tail that differs between the sides"
 
-    def cells(self, x):
-        return x.in_tail
+    part = "tail"
 
     def basis(self, z):
-        return even_powers(z / self.scale)
+        return FORCE * even_powers(z / self.scale)
 
 
 class NormalForceOfAcceleration(ForceTerm):

@@ -1,4 +1,4 @@
-"""Whether a function is learned instead of the doubtful effects or beside them."""
+"""Whether a function is learned instead of the corrections or beside them."""
 
 from types import SimpleNamespace
 
@@ -7,47 +7,65 @@ import pytest
 from calibration.learning import learn
 from calibration.learning.learn import learn_terms
 
-STATUSES = [
-    SimpleNamespace(name="leakage", status="provisional", above_floor=["p_rear"]),
-    SimpleNamespace(name="camera_delay", status="identified", above_floor=[]),
-]
+EFFECTS, CORRECTIONS = ["leakage", "camera_delay"], ["leakage"]
 
 
-def choice(monkeypatch, squares, at_floor=(), statuses=STATUSES, halves=True):
+def choice(monkeypatch, growths, at_floor=(), corrections=CORRECTIONS):
     """Returns the number of the chosen attempt, and the effects of each attempt.
 
-    `squares` are the sums of squares of the attempts' models; None: nothing was learned.
+    `growths` are the growths of the error by the attempts' models; None: nothing was learned.
     """
     attempts = []
 
-    def learned(outcome, effects, progress):
+    def learned(found, known, progress):
         k = len(attempts)
-        attempts.append(list(effects))
-        model = squares[k] and SimpleNamespace(fit=SimpleNamespace(square=squares[k]))
-        estimation = [0] if halves else []
-        return SimpleNamespace(
-            model=model, estimation=estimation, reaches_floor=k in at_floor, number=k
-        )
+        attempts.append(known)
+        found.number, growth = k, growths[k]
+        if growth is not None:
+            growth = SimpleNamespace(mean=growth)
+            found.model = SimpleNamespace(
+                growth=growth, above_floor=[] if k in at_floor else ["tip"]
+            )
+        return found
 
     monkeypatch.setattr(learn, "_learned", learned)
-    effects = [x.name for x in statuses]
-    outcome = SimpleNamespace(verdict="partly_explained", statuses=statuses, effects=effects)
+    monkeypatch.setattr(learn, "largest_states", lambda problem, fit: {})
+    monkeypatch.setattr(learn.Dictionary, "of", lambda outcome, effects, *_: list(effects))
+    monkeypatch.setattr(learn, "TankProblem", SimpleNamespace)
+    records = [SimpleNamespace(trial=SimpleNamespace(frequency=1.0 + i)) for i in range(8)]
+    problem = SimpleNamespace(records=records, part=lambda chosen: None)
+    outcome = SimpleNamespace(
+        verdict="partly_explained",
+        effects=EFFECTS,
+        corrections=corrections,
+        problem=problem,
+        used_trials=list(range(8)),
+        chosen=None,
+    )
     return learn_terms(outcome).number, attempts
 
 
-def test_a_function_at_the_noise_floor_replaces_the_doubtful_effects(monkeypatch):
-    assert choice(monkeypatch, [5.0], at_floor=[0]) == (0, [["camera_delay"]])
+def test_a_function_at_the_noise_floor_replaces_the_corrections(monkeypatch):
+    assert choice(monkeypatch, [-2.0], at_floor=[0]) == (0, [["camera_delay"]])
 
 
 @pytest.mark.parametrize(
-    ("squares", "chosen"),
-    [([5.0, 4.0], 1), ([4.0, 5.0], 0), ([None, 5.0], 1), ([5.0, None], 0), ([None, None], 1)],
+    ("growths", "at_floor", "chosen"),
+    [
+        ([-1.0, -2.0], [], 1),
+        ([-2.0, -1.0], [], 0),
+        ([-2.0, -1.0], [1], 1),
+        ([None, 0.01], [], 1),
+        ([-0.1, None], [], 0),
+        ([0.04, None], [], 1),  # the loop's model without a function is better
+        ([None, None], [], 1),
+    ],
 )
-def test_the_better_of_two_functions_above_the_floor_is_kept(monkeypatch, squares, chosen):
-    both = [["camera_delay"], ["leakage", "camera_delay"]]
-    assert choice(monkeypatch, squares) == (chosen, both)
+def test_a_function_above_the_floor_has_to_improve_the_model(
+    monkeypatch, growths, at_floor, chosen
+):
+    assert choice(monkeypatch, growths, at_floor) == (chosen, [["camera_delay"], EFFECTS])
 
 
-def test_without_doubtful_effects_or_trials_there_is_one_attempt(monkeypatch):
-    assert choice(monkeypatch, [None], statuses=STATUSES[1:]) == (0, [["camera_delay"]])
-    assert choice(monkeypatch, [None], halves=False)[0] == 0
+def test_without_corrections_there_is_one_attempt(monkeypatch):
+    assert choice(monkeypatch, [None], corrections=[]) == (0, [EFFECTS])

@@ -97,9 +97,6 @@ def test_the_report_states_the_function_and_the_model_file_contains_it(learned, 
 
 def test_too_few_trials_teach_nothing(learned):
     outcome, _ = learned
-    left_out = outcome.used_trials[0]
-    fit = outcome.chosen._replace(predicted=outcome.chosen.predicted[1:])
-    search = replace(outcome.search, final=fit, effects=[])
-    few = learn_terms(replace(outcome, search=search, held=[*outcome.held, left_out], excess={}))
-    assert few.model is None and "at least eight usable trials" in few.reason
+    few = learn_terms(replace(outcome, held=[*outcome.held, outcome.used_trials[0]], excess={}))
+    assert few.model is None and "eight usable trials" in few.reason
     assert learn_terms(replace(outcome, verdict="identified")) is None

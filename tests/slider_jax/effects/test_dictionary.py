@@ -10,8 +10,8 @@ import pytest
 from calibration.model.extended import candidate_effects
 from slider_jax.effects import dictionary
 from slider_jax.effects.check import checked_effects
+from slider_jax.effects.functions import Powers, even_powers, odd_powers
 from slider_jax.effects.library import DICTIONARY, LIBRARY
-from slider_jax.effects.powers import even_powers, odd_powers
 from slider_jax.experiment.load import assemble
 from slider_jax.simulation.effect_signature import built_in_experiment
 from slider_jax.simulation.trial import simulate_trial
@@ -50,6 +50,11 @@ def test_powers_are_constant_beyond_the_largest_visited_state():
     np.testing.assert_allclose(odd[2], [-1.0, -1.0, -0.125, 0.125, 1.0, 1.0])
     np.testing.assert_allclose(odd, -odd[:, ::-1])
     np.testing.assert_allclose(even, np.abs(odd))
+    scaled = [kind() for kind in DICTIONARY.values() if issubclass(kind, Powers)]
+    assert len(scaled) == 15
+    for term in scaled:
+        ends = np.asarray(term.basis(term.scale * jnp.array([-3.0, -1.0, 1.0, 3.0])))
+        np.testing.assert_allclose(ends[:, [0, 3]], ends[:, [1, 2]])
 
 
 def test_the_simulation_of_a_model_file_contains_its_terms(tmp_path):
