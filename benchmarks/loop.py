@@ -35,8 +35,8 @@ from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.inference.goodness import noise_floors, rms_errors
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.learning.learn import Learning, learn_terms
-from calibration.learning.report import excess_removed
 from calibration.model.extended import candidate_effects
+from slider_jax.channels import row_of
 from slider_jax.cli.main import prepare_jax
 from slider_jax.effects.library import LIBRARY, load_effects
 from slider_jax.io.files import versions, write_json
@@ -238,7 +238,8 @@ def run_case(
     seconds = time.perf_counter() - start
     record = outcome_record(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
     if learning is not None:
-        record["learned"] = learned_record(learning)
+        files = [r.trial.file for r in found]
+        record["learned"] = learned_record(learning, dict(zip(files, true, strict=True)))
         if record["learned"]["reaches_floor"]:
             record["verdict"] = "learned"
     if not outcome.held:
@@ -303,11 +304,29 @@ def outcome_record(outcome: LoopOutcome, truth: Mapping[str, float]) -> dict[str
     }
 
 
-def learned_record(learning: Learning) -> dict[str, Any]:
-    """Returns the learned terms, their place, and the fraction of the excess that they remove."""
+def learned_record(learning: Learning, true: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Returns the learned terms, their place, and the errors without and with the function.
+
+    `true` are the readings without noise (channels, samples) of each trial's file. `distance` is
+    the rms difference between predicted and true readings in the tested trials.
+    """
     model = learning.model
     if model is None:
         return {"reason": learning.reason, "terms": [], "reaches_floor": False}
+    rest, distance = model.dictionary.problem.part(model.tested), dict[str, dict[str, float]]()
+    predicted = [rest.predict(x.theta) for x in (model.dictionary.start, model.fit)]
+    for channel in model.errors:
+        rows = [
+            np.concatenate(
+                [
+                    (y - true[r.trial.file])[row_of(channel)][r.there(channel)]
+                    for r, y in zip(rest.records, each, strict=True)
+                ]
+            )
+            for each in predicted
+        ]
+        before, after = (float(np.sqrt(np.mean(x**2))) for x in rows)
+        distance[channel] = {"before": before, "after": after}
     return {
         "reason": "",
         "terms": model.terms,
@@ -315,8 +334,8 @@ def learned_record(learning: Learning) -> dict[str, Any]:
         "equal_places": learning.equal_places,
         "reaches_floor": learning.reaches_floor,
         "replaced_effects": model.dictionary.replaced,
-        "excess_removed": {c: excess_removed(x) for c, x in model.errors.items()},
         "errors": model.errors,
+        "distance": distance,
     }
 
 

@@ -105,13 +105,16 @@ def rated_location(case: dict[str, Any]) -> str:
 
 
 def removed_excess(case: dict[str, Any]) -> float | None:
-    """Returns the fraction of the excess rms that a learned function removes, in held-out trials.
+    """Returns the fraction of the excess error that a learned function removes, in tested trials.
 
-    The excess is summed over the channels, each divided by its noise floor. None: nothing learned.
+    The excess error is the rms difference between predicted and true readings. The mean over the
+    channels is weighted by the inverse noise floors. None: nothing was learned.
     """
-    errors = case.get("learned", {}).get("errors", {})
+    learned = case.get("learned", {})
     before, after = (
-        sum(max((x[key] / x["floor"]) ** 2 - 1.0, 0.0) for x in errors.values())
+        sum((x[key] / learned["errors"][c]["floor"]) ** 2 for c, x in learned["distance"].items())
+        if "distance" in learned
+        else 0.0
         for key in ("before", "after")
     )
     return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else None
