@@ -89,6 +89,10 @@ def test_the_report_states_the_function_and_the_model_file_contains_it(learned, 
     assert record["next_experiment"]["purpose"] == "test_learned"
     html = loop_page(outcome, record, learned_parts(record["learned"]))
     assert html.count("data:image/png") == 3 and "Learned function" in html
+    replaced = record["learned"]["replaced_effects"]
+    assert replaced == learning.model.dictionary.replaced == outcome.corrections
+    assert ("The model without the function does not contain" in html) == bool(replaced)
+    assert record["learned"]["converged"] in (True, False)
     (tmp_path / "model.toml").write_text(learned_model_toml(outcome, learning))
     again = load(outcome.experiment.folder / "experiment.toml", tmp_path / "model.toml")
     assert [x.name for x in again.effects] == learning.model.terms
