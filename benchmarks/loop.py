@@ -13,7 +13,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,7 +36,6 @@ from calibration.inference.goodness import noise_floors, rms_errors
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.learning.learn import Learning, learn_terms
 from calibration.model.extended import candidate_effects
-from slider_jax.channels import row_of
 from slider_jax.cli.main import prepare_jax
 from slider_jax.effects.library import LIBRARY, load_effects
 from slider_jax.io.files import versions, write_json
@@ -313,20 +312,15 @@ def learned_record(learning: Learning, true: Mapping[str, np.ndarray]) -> dict[s
     model = learning.model
     if model is None:
         return {"reason": learning.reason, "terms": [], "reaches_floor": False}
-    rest, distance = model.dictionary.problem.part(model.tested), dict[str, dict[str, float]]()
-    predicted = [rest.predict(x.theta) for x in (model.dictionary.start, model.fit)]
-    for channel in model.errors:
-        rows = [
-            np.concatenate(
-                [
-                    (y - true[r.trial.file])[row_of(channel)][r.there(channel)]
-                    for r, y in zip(rest.records, each, strict=True)
-                ]
-            )
-            for each in predicted
-        ]
-        before, after = (float(np.sqrt(np.mean(x**2))) for x in rows)
-        distance[channel] = {"before": before, "after": after}
+    rest = model.dictionary.problem.part(model.tested)
+    noiseless = [
+        replace(r, values=np.where(np.isfinite(r.values), true[r.trial.file], np.nan))
+        for r in rest.records
+    ]
+    before, after = (
+        rms_errors(replace(rest, records=noiseless), rest.predict(x.theta))
+        for x in (model.dictionary.start, model.fit)
+    )
     return {
         "reason": "",
         "terms": model.terms,
@@ -335,7 +329,7 @@ def learned_record(learning: Learning, true: Mapping[str, np.ndarray]) -> dict[s
         "reaches_floor": learning.reaches_floor,
         "replaced_effects": model.dictionary.replaced,
         "errors": model.errors,
-        "distance": distance,
+        "distance": {c: {"before": before[c], "after": after[c]} for c in after},
     }
 
 

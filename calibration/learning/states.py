@@ -15,7 +15,7 @@ from slider_jax.channels import BUILT_IN, row_of
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.pressures import REAR, chamber_history, set_pressures, start_chambers
 from slider_jax.dynamics.step import Snapshot, at_rest
-from slider_jax.effects import Chamber, Flow, Instrument, Readings
+from slider_jax.effects import Chamber, Readings
 from slider_jax.effects.library import DICTIONARY
 from slider_jax.simulation.trial import advance_chunk, run_chunks
 
@@ -43,12 +43,12 @@ def visited_states(
     chamber = Chamber(p, p_set, jnp.ones(()), REAR, jnp.sign(p))
     rows = [jnp.asarray(readings[row_of(name)]) for name in BUILT_IN]
     read, found = Readings(jnp.asarray(plan.at), *rows), {}
-    local = not all(isinstance(x, Flow | Instrument) for x in terms.values())
+    local = any(x.place() not in ("Flow", "Instrument") for x in terms.values())
     sections = _visited_sections(plan, model) if local else []
     for name, term in terms.items():
-        if issubclass(type(term), Instrument):
+        if term.place() == "Instrument":
             found[name] = {"": np.ravel(term.state(read))}
-        elif issubclass(type(term), Flow):
+        elif term.place() == "Flow":
             found[name] = {"": np.ravel(term.state(chamber))}
         else:
             found[name] = _in_parts(term, sections, plan.grid.steps)
