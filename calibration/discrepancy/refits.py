@@ -36,18 +36,20 @@ def effect_tangents(
     Each array has the shape (parameters, channels, samples). For a parameter with a `Prior.start`,
     the array contains the secant from null to start. If a secant cannot be simulated, its step is
     halved. For free parameters and effects without a start, the array contains tangents at `theta`.
-    For all other parameters, and where a tangent is not finite, the array is zero.
+    For all other parameters, and where a tangent is not finite, the array is zero. The arrays have
+    single precision: they are the largest arrays of the loop, and the mesh causes larger errors.
     """
     scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
     finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
     tangential = [i for i in scored if i not in finite]
-    found = [np.zeros((len(theta), *r.values.shape)) for r in problem.records]
+    found = [np.zeros((len(theta), *r.values.shape), np.float32) for r in problem.records]
     unit = np.eye(len(theta))
     channels = [row_of(c) for c in problem.channels]
     along = problem.tangents(theta, unit[tangential])
     failed = ~np.all([np.isfinite(x[:, channels]).all(axis=(1, 2)) for x in along], axis=0)
-    for x, tangents in zip(found, along, strict=True):
-        x[tangential] = np.where(failed[:, None, None], 0.0, tangents)
+    for x in found:
+        x[tangential] = along.pop(0)
+        x[np.array(tangential)[failed]] = 0.0
     size = {i: entries[i].prior.start - entries[i].prior.null for i in finite}
     for _ in range(settings.max_halvings):
         if not size:

@@ -151,7 +151,10 @@ def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
         if not rest:
             break
         refits.progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
-        round_, tangents = _round(refits, found.final, rest, tangents)
+        round_ = _distant(refits, found.final, rest, tangents)
+        if round_ is None:
+            tangents = None  # frees the memory before new tangents are computed
+            round_, tangents = _round(refits, found.final, rest)
         found.rounds.append(round_)
         if round_.chosen is None:
             break
@@ -160,6 +163,7 @@ def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
         refits = _widen(refits, found)
         before, refits = refits, _with_measured_discrepancies(refits, found)
         if refits is not before:
+            assert tangents is not None
             white = refits.problem.whitened(tangents.raw, refits.white)
             tangents = ScoringTangents(tangents.raw, white)
         _remove_unnecessary(refits, found, round_)
@@ -203,27 +207,34 @@ def _scores(
     return sorted(scores, key=lambda s: -s.gain), blocks
 
 
-def _round(
+def _distant(
     refits: Refits, current: Fit, rest: Sequence[str], last: ScoringTangents | None
-) -> tuple[SelectionStep, ScoringTangents]:
-    """Returns a round of the selection and the tangents of its scores.
+) -> SelectionStep | None:
+    """Returns a round without an effect if all gains are far below the naming threshold.
 
-    `last` are the tangents of the round before. The candidates are first scored with these
-    tangents. If all gains are far below the naming threshold, no new tangents are computed.
+    The scores use the tangents `last` of the round before. Returns None if a candidate has a larger
+    gain, or if there are no such tangents: the round then needs new tangents.
     """
+    if last is None:
+        return None
+    scores, _ = _scores(refits, current, rest, last.white)
+    limit = refits.settings.distant_gain_share * refits.settings.min_gain
+    return SelectionStep(scores) if scores[0].gain < limit else None
+
+
+def _round(
+    refits: Refits, current: Fit, rest: Sequence[str]
+) -> tuple[SelectionStep, ScoringTangents]:
+    """Returns a round of the selection and the tangents of its scores."""
     problem, entries, progress = refits.problem, refits.entries, refits.progress
     settings, scored = refits.settings, scoring_entries(refits.entries)
-    if last is not None:
-        scores, _ = _scores(refits, current, rest, last.white)
-        if scores[0].gain < settings.distant_gain_share * settings.min_gain:
-            return SelectionStep(scores), last
     tangents = effect_tangents(problem, entries, current.theta, current.free, settings)
     J = problem.whitened(tangents, refits.white)
     scores, blocks = _scores(refits, current, rest, J)
     round_, candidates, starts = SelectionStep(scores), [], []
     for s in _short_list(scores, refits, scored):
-        pairs = zip(current.predicted, tangents, strict=True)
-        changed = [y + np.tensordot(s.step, x, 1) for y, x in pairs]
+        pairs, moved = zip(current.predicted, tangents, strict=True), np.flatnonzero(s.step)
+        changed = [y + np.tensordot(s.step[moved], x[moved], 1) for y, x in pairs]
         changes = relative_changes(problem, current.predicted, changed).items()
         limits = refits.discrepancies(changed)
         if any(x > settings.naming_share * limits[c] for c, x in changes):

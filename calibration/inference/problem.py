@@ -71,11 +71,16 @@ def summed(blocks: Sequence[ChannelBlock]) -> tuple[np.ndarray, np.ndarray]:
 def normal_equations(
     residuals: dict[tuple[int, str], np.ndarray], J: dict[tuple[int, str], np.ndarray]
 ) -> list[ChannelBlock]:
-    """Returns the normal equations of whitened residuals (n,) and derivatives (parameters, n)."""
-    return [
-        ChannelBlock(*key, J[key] @ J[key].T, J[key] @ r, float(r @ r), len(r))
-        for key, r in residuals.items()
-    ]
+    """Returns the normal equations of whitened residuals (n,) and derivatives (parameters, n).
+
+    The sums have double precision, also if the derivatives have single precision.
+    """
+
+    def block(key: tuple[int, str], r: np.ndarray) -> ChannelBlock:
+        x = J[key].astype(float)
+        return ChannelBlock(*key, x @ x.T, x @ r, float(r @ r), len(r))
+
+    return [block(key, r) for key, r in residuals.items()]
 
 
 class Affine(NamedTuple):
@@ -195,13 +200,14 @@ class AbstractProblem(ABC):
     ) -> dict[tuple[int, str], np.ndarray]:
         """Returns the whitened `changes` (k, channels, samples) of each trial's readings.
 
-        The result has an array (k, n) for every trial and channel.
+        The result has an array (k, n) for every trial and channel, with the precision of `changes`.
         """
 
         def one(key):
             i, channel = key
             series, there = changes[i][:, row_of(channel)], self.records[i].there(channel)
-            return key, white[key](series if there.all() else series[:, there])
+            found = white[key](series if there.all() else series[:, there])
+            return key, found.astype(series.dtype, copy=False)
 
         return dict(on_all_cores(one, list(white)))
 
@@ -367,22 +373,21 @@ class TankProblem(AbstractProblem):
 
         A fit and the scoring after the fit need different entries at the same `theta`. One program
         for all entries is compiled faster than a second program. Shape parameters of effects at
-        their null have the derivative zero.
+        their null have the derivative zero. The derivatives are stored with single precision.
         """
         key = theta.tobytes()
         if key not in self._last:
+            self._last.clear()
             entries = model_parameters(self.coarse_plans[0].extended.effects)
             acting = acting_entries(entries, theta)
             unit = np.eye(len(theta))[acting]
 
             def one(p: TrialPlan) -> np.ndarray:
-                along = np.zeros((len(theta), len(CHANNELS), len(p.at)))
+                along = np.zeros((len(theta), len(CHANNELS), len(p.at)), np.float32)
                 along[acting] = reading_tangents(p, theta, unit)
                 return along
 
-            found = on_all_cores(one, self.coarse_plans)
-            self._last.clear()
-            self._last[key] = found
+            self._last[key] = on_all_cores(one, self.coarse_plans)
         return self._last[key]
 
     def _own(self, theta: np.ndarray) -> list[np.ndarray]:

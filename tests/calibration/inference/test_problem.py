@@ -5,7 +5,7 @@ import numpy as np
 from calibration.discrepancy.refits import Refits
 from calibration.inference import problem
 from calibration.inference.gauss_newton import Fit
-from calibration.inference.problem import TankProblem
+from calibration.inference.problem import TankProblem, normal_equations
 from calibration.measurements.records import Record
 from calibration.model.predict import Resolution
 from slider_jax.channels import CHANNELS, row_of
@@ -54,3 +54,16 @@ def test_no_tangent_is_computed_for_the_shape_of_an_effect_at_its_null(monkeypat
     theta[4] = 0.01
     (present,) = found.tangents(theta, np.eye(6)[[5]])
     assert present[0].any() and computed == [5, 6]
+
+
+def test_normal_equations_of_single_precision_derivatives_have_double_precision():
+    """A sum of single-precision products would lose the difference between both derivatives."""
+    rng = np.random.default_rng(0)
+    first = rng.normal(size=20000).astype(np.float32)
+    J = np.stack([first, first + np.float32(1e-4) * rng.normal(size=20000).astype(np.float32)])
+    (found,) = normal_equations({(0, "tip"): rng.normal(size=20000)}, {(0, "tip"): J})
+    exact = J.astype(float)
+    np.testing.assert_allclose(found.A, exact @ exact.T, rtol=1e-13)
+    apart = np.array([1.0, -1.0])
+    distance = np.sum((exact[0] - exact[1]) ** 2)
+    np.testing.assert_allclose(apart @ found.A @ apart, distance, rtol=1e-6)
