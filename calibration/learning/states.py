@@ -22,6 +22,8 @@ from slider_jax.simulation.trial import advance_chunk, run_chunks
 RARE = 0.005
 """Fraction of the visited states beyond each end of a function's table. The same fraction of the
 states exceeds the scale of a term. A state has extreme values when the drive switches."""
+OF_READINGS = ("Instrument", "WaterMotion")
+"""Places whose terms depend on the readings or their times."""
 PARTS = ("body", "tail")
 """Parts of the robot that have their own parameter in some terms."""
 
@@ -43,10 +45,10 @@ def visited_states(
     chamber = Chamber(p, p_set, jnp.ones(()), REAR, jnp.sign(p))
     rows = [jnp.asarray(readings[row_of(name)]) for name in BUILT_IN]
     read, found = Readings(jnp.asarray(plan.at), *rows), {}
-    local = any(x.place() not in ("Flow", "Instrument") for x in terms.values())
+    local = any(x.place() not in ("Flow", *OF_READINGS) for x in terms.values())
     sections = _visited_sections(plan, model) if local else []
     for name, term in terms.items():
-        if term.place() == "Instrument":
+        if term.place() in OF_READINGS:
             found[name] = {"": np.ravel(term.state(read))}
         elif term.place() == "Flow":
             found[name] = {"": np.ravel(term.state(chamber))}
@@ -75,7 +77,7 @@ def _in_parts(term: Any, sections: list[Section], steps: int) -> dict[str, np.nd
 
 
 def largest_states(problem: TankProblem, fit: Fit) -> dict[str, float]:
-    """Returns the quantile 1 - `RARE` of the |state| of each term that has a scale.
+    """Returns the scale of each term that has one: the quantile 1 - `RARE` of |state|.
 
     `fit` is a fit to the trials of `problem`.
     """

@@ -122,16 +122,26 @@ def resonant_sample(
     return _resonant_next((y[-1], y[-2], y[-3]), x[-1], t[-1] - t[-2], c, b)
 
 
-def odd_powers(z: Array) -> Float[Array, "3 ..."]:
-    """Returns z, z |z| and z^3. Beyond -1 and 1, each function is constant."""
+Basis = tuple[Array, Array, Array]
+"""Values of three functions of a state. One array of all values would need more time to compile."""
+
+
+def odd_powers(z: Array, factor: float | Scalar = 1.0) -> Basis:
+    """Returns z, z |z| and z^3, times `factor`. Beyond -1 and 1, each function is constant."""
     z = jnp.clip(z, -1.0, 1.0)
-    return jnp.stack([z, z * jnp.abs(z), z**3])
+    return factor * z, factor * z * jnp.abs(z), factor * z**3
 
 
-def even_powers(z: Array) -> Float[Array, "3 ..."]:
-    """Returns |z|, z^2 and |z|^3. Beyond -1 and 1, each function is constant."""
+def even_powers(z: Array, factor: float | Scalar = 1.0) -> Basis:
+    """Returns |z|, z^2 and |z|^3, times `factor`. Beyond -1 and 1, each function is constant."""
     size = jnp.minimum(jnp.abs(z), 1.0)
-    return jnp.stack([size, size**2, size**3])
+    return factor * size, factor * size**2, factor * size**3
+
+
+def waves(z: Array, factor: float = 1.0) -> Basis:
+    """Returns cos(pi z), cos(2 pi z) and cos(3 pi z), times `factor`, for z limited to 0 to 1."""
+    z = jnp.pi * jnp.clip(z, 0.0, 1.0)
+    return factor * jnp.cos(z), factor * jnp.cos(2.0 * z), factor * jnp.cos(3.0 * z)
 
 
 class Powers(eqx.Module):
@@ -144,9 +154,10 @@ class Powers(eqx.Module):
     c: Scalar = parameter(0.0, -20.0, 20.0, "-", WHY_FACTOR)
     """Factor of the third function."""
 
-    def total(self, basis: Float[Array, "3 ..."]) -> Array:
+    def total(self, basis: Basis) -> Array:
         """Returns the sum of the basis functions, each multiplied by its parameter."""
-        return self.a * basis[0] + self.b * basis[1] + self.c * basis[2]
+        first, second, third = basis
+        return self.a * first + self.b * second + self.c * third
 
 
 class PartPowers(Powers):

@@ -3,11 +3,11 @@
 from abc import abstractmethod
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Curve, Flow, shape_parameter
-from slider_jax.effects.functions import Powers, even_powers, magnitude, odd_powers
+from slider_jax.effects.functions import Basis, Powers, even_powers, magnitude, odd_powers
 
 CORNER = 0.02
 """Width of the smooth corner of the square root, as a fraction of the largest difference."""
@@ -25,7 +25,7 @@ class FlowTerm(Powers, Flow):
         """Returns the state z of the chambers."""
 
     @abstractmethod
-    def basis(self, z: Array) -> Float[Array, "3 ..."]:
+    def basis(self, z: Array) -> Basis:
         """Returns the basis functions at the state z."""
 
     @abstractmethod
@@ -58,7 +58,7 @@ class FlowOfPressure(PressureTerm):
     title = "flow that depends on the pressure"
 
     def basis(self, z):
-        return RATE * odd_powers(z / self.scale)
+        return odd_powers(z / self.scale, RATE)
 
 
 class FlowOfPressureBySide(PressureTerm):
@@ -67,7 +67,7 @@ class FlowOfPressureBySide(PressureTerm):
     title = "flow that depends on the pressure and differs between the sides"
 
     def basis(self, z):
-        return RATE * even_powers(z / self.scale)
+        return even_powers(z / self.scale, RATE)
 
 
 class DifferenceTerm(FlowTerm):
@@ -90,8 +90,8 @@ class FlowOfDifference(DifferenceTerm):
     def basis(self, z):
         # A linear function would be the lag of the base model, so a square root replaces it.
         e = jnp.clip(z / self.scale, -1.0, 1.0)
-        linear, *powers = odd_powers(e)
-        return RATE * jnp.stack([linear / jnp.sqrt(magnitude(e, CORNER)), *powers])
+        linear, quadratic, cubic = odd_powers(e)
+        return RATE * linear / jnp.sqrt(magnitude(e, CORNER)), RATE * quadratic, RATE * cubic
 
     def factor(self, x):
         return jnp.ones_like(x.p)
@@ -107,7 +107,7 @@ class FlowOfFilling(DifferenceTerm):
         return x.side * (x.p_set - x.p)
 
     def basis(self, z):
-        return RATE * even_powers(z / self.scale)
+        return even_powers(z / self.scale, RATE)
 
     def factor(self, x):
         return x.side
@@ -126,9 +126,9 @@ class OpeningTerm(Powers, Flow):
         """Returns |p| of the chambers."""
         return jnp.abs(x.p)
 
-    def basis(self, z: Array) -> Float[Array, "3 ..."]:
+    def basis(self, z: Array) -> Basis:
         """Returns the basis functions at the state z. The parameter k describes a constant f."""
-        return OPENING * even_powers(z / self.scale)
+        return even_powers(z / self.scale, OPENING)
 
     @abstractmethod
     def acts(self, x: Chamber) -> Array:

@@ -3,12 +3,12 @@
 from abc import abstractmethod
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, ForceDensity, parameter, shape_parameter
-from slider_jax.effects.functions import PartPowers, even_powers, odd_powers
+from slider_jax.effects.functions import Basis, PartPowers, Powers, even_powers, odd_powers, waves
 
 SPEED, ACCELERATION, CURVATURE = 0.5, 10.0, 3.0
 """Lateral speed [m/s], lateral acceleration [m/s^2] and curvature [1/m] in a typical stride (5 Hz).
@@ -59,7 +59,7 @@ class VelocityTerm(PartPowers, ForceDensity):
         return x.u_n
 
     @abstractmethod
-    def basis(self, z: Array) -> Float[Array, "3 ..."]:
+    def basis(self, z: Array) -> Basis:
         """Returns the basis functions at the lateral velocity z."""
 
     def force(self, x):
@@ -73,7 +73,7 @@ class NormalForceOnBody(VelocityTerm):
     title = "normal force on the body that depends on the lateral velocity"
 
     def basis(self, z):
-        return FORCE * odd_powers(z / self.scale)
+        return odd_powers(z / self.scale, FORCE)
 
 
 class NormalForceOnTail(VelocityTerm):
@@ -84,7 +84,7 @@ class NormalForceOnTail(VelocityTerm):
     part = "tail"
 
     def basis(self, z):
-        return FORCE * odd_powers(z / self.scale)
+        return odd_powers(z / self.scale, FORCE)
 
 
 class NormalForceOnBodyBySide(VelocityTerm):
@@ -93,7 +93,7 @@ class NormalForceOnBodyBySide(VelocityTerm):
     title = "normal force on the body that differs between the sides"
 
     def basis(self, z):
-        return FORCE * even_powers(z / self.scale)
+        return even_powers(z / self.scale, FORCE)
 
 
 class NormalForceOnTailBySide(VelocityTerm):
@@ -104,7 +104,34 @@ class NormalForceOnTailBySide(VelocityTerm):
     part = "tail"
 
     def basis(self, z):
-        return FORCE * even_powers(z / self.scale)
+        return even_powers(z / self.scale, FORCE)
+
+
+class DragAlongRobot(Powers, ForceDensity):
+    """F_n = f(s) u_n |u_n|, with the position s along the robot and u_n in units of `SPEED`."""
+
+    title = "drag that varies along the robot"
+    term_curve = Curve("position s", "m", "normal force F_n at 0.5 m/s", "N/m")
+
+    scale: Scalar = shape_parameter(0.4, 1e-2, 100.0, "m", "the lengths of soft robots")
+    """Length of the robot. A learned function uses the 99.5 % quantile of s."""
+
+    def cells(self, x: Section) -> Array:
+        """Returns 1 in each cell."""
+        return jnp.ones_like(x.s)
+
+    def state(self, x: Section) -> Array:
+        """Returns the position of each cell."""
+        return x.s
+
+    def basis(self, z: Array) -> Basis:
+        """Returns the basis functions at the position z; C_d describes a constant f."""
+        return waves(z / self.scale, FORCE)
+
+    def force(self, x):
+        u = x.u_n / SPEED
+        F = self.total(self.basis(self.state(x))) * u * jnp.abs(u)
+        return jnp.zeros_like(F), F
 
 
 class NormalForceOfAcceleration(ForceTerm):

@@ -2,18 +2,20 @@
 
 import math
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, Instrument, Readings, parameter, shape_parameter
-from slider_jax.effects.functions import magnitude
+from slider_jax.effects.functions import Basis, Powers, even_powers, odd_powers
 
-CORNER = 0.02
-"""Width of the smooth corner of |y|, as a fraction of the sensor's scale."""
 WHY = "a sensor with an error as large as its scale is broken"
+OF_TIME = Curve("time t", "s", "change divided by the scale", "-")
+OF_PHASE = Curve("phase, the fraction of f t", "-", "change divided by the scale", "-")
+OF_READING = Curve("reading divided by its scale", "-", "change divided by the scale", "-")
+OF_GAIN = Curve("time t", "s", "change of the gain", "-")
 
 
 class Sensor(NamedTuple):
@@ -24,78 +26,133 @@ class Sensor(NamedTuple):
     """Typical reading, in the unit of the sensor. All parameters are divided by this scale."""
 
 
-PRESSURE = Sensor(("p_front", "p_rear"), 100e3)
-THRUST = Sensor(("thrust",), 0.2)
-RECOIL = Sensor(("recoil",), 1.0)
-TIP = Sensor(("tip",), 0.02)
-OF_TIME = ("time t", "s", "change divided by the scale", "-")
-OF_READING = ("reading divided by its scale", "-", "change divided by the scale", "-")
-
-
-def _changed(true: Readings, sensor: Sensor, change) -> Readings:
-    """Returns the readings with scale times `change(y)` added to each series y of the sensor."""
-    series = {name: getattr(true, name) for name in sensor.names}
-    return true._replace(**{name: y + sensor.scale * change(y) for name, y in series.items()})
-
-
-class SensorPowers(Instrument):
-    """y_read = y + s (a |z| + b z |z| + c z^3), with z = y/s and the scale s of the sensor."""
-
-    a: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
-    """a, part with the same sign for positive and negative readings."""
-    b: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
-    """b, quadratic part."""
-    c: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
-    """c, cubic part."""
+class SensorTerm(Instrument):
+    """y_read = y + s f, with a function f and the scale s of the sensor."""
 
     @abstractmethod
     def sensor(self) -> Sensor:
         """Returns the sensor whose readings change."""
 
-    def state(self, x: Readings) -> Array:
-        """Returns the readings divided by their scale."""
-        sensor = self.sensor()
-        return jnp.stack([getattr(x, name) for name in sensor.names]) / sensor.scale
-
-    def basis(self, z: Array) -> Float[Array, "3 ..."]:
-        """Returns the basis functions at the reading z."""
-        return jnp.stack([magnitude(z, CORNER) - CORNER, z * jnp.abs(z), z**3])
+    @abstractmethod
+    def change(self, z: Array, t: Array) -> Array:
+        """Returns f for readings z (divided by their scale) at the times `t` [s]."""
 
     def read(self, true):
-        def change(y):
-            a, b, c = self.basis(y / self.sensor().scale)
-            return self.a * a + self.b * b + self.c * c
+        names, scale = self.sensor()
+        series = {name: getattr(true, name) for name in names}
+        return true._replace(
+            **{name: y + scale * self.change(y / scale, true.t) for name, y in series.items()}
+        )
 
-        return _changed(true, self.sensor(), change)
+
+class OfPressure:
+    """The sensors of the pressures."""
+
+    sensors: ClassVar[tuple[str, ...]] = ("pressure",)
+
+    def sensor(self) -> Sensor:
+        return Sensor(("p_front", "p_rear"), 100e3)
 
 
-class SensorDrift(Instrument):
-    """y_read = y + s (a t + b t^2), with the time t of the trial and the scale s of the sensor."""
+class OfThrust:
+    """The sensor of the thrust."""
+
+    sensors: ClassVar[tuple[str, ...]] = ("thrust",)
+
+    def sensor(self) -> Sensor:
+        return Sensor(("thrust",), 0.2)
+
+
+class OfRecoil:
+    """The sensor of the recoil."""
+
+    sensors: ClassVar[tuple[str, ...]] = ("recoil",)
+
+    def sensor(self) -> Sensor:
+        return Sensor(("recoil",), 1.0)
+
+
+class OfTip:
+    """The sensor of the tip."""
+
+    sensors: ClassVar[tuple[str, ...]] = ("tip",)
+
+    def sensor(self) -> Sensor:
+        return Sensor(("tip",), 0.02)
+
+
+class SensorPowers(Powers, SensorTerm):
+    """f is a sum of three powers of the reading."""
+
+    term_curve = OF_READING
+
+    scale: Scalar = shape_parameter(1.0, 1e-3, 1e3, "-", "the readings of a soft robot")
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the predicted |readings|, divided by the sensor's scale."""
+
+    def state(self, x: Readings) -> Array:
+        """Returns the readings divided by their scale."""
+        names, scale = self.sensor()
+        return jnp.stack([getattr(x, name) for name in names]) / scale
+
+    @abstractmethod
+    def basis(self, z: Array) -> Basis:
+        """Returns the basis functions at the reading z."""
+
+    def change(self, z, t):
+        return self.total(self.basis(z))
+
+
+class SensorOddPowers(SensorPowers):
+    """f is an odd function of the reading."""
+
+    def basis(self, z):
+        return odd_powers(z / self.scale)
+
+
+class SensorEvenPowers(SensorPowers):
+    """f is an even function of the reading."""
+
+    def basis(self, z):
+        return even_powers(z / self.scale)
+
+
+class SensorDrift(SensorTerm):
+    """f = a t + b t^2, with the time t of the trial."""
+
+    term_curve = OF_TIME
 
     a: Scalar = parameter(0.0, -1.0, 1.0, "1/s", WHY)
     """a, drift."""
     b: Scalar = parameter(0.0, -1.0, 1.0, "1/s^2", WHY)
     """b, change of the drift."""
 
-    @abstractmethod
-    def sensor(self) -> Sensor:
-        """Returns the sensor whose readings change."""
-
     def state(self, x: Readings) -> Array:
         """Returns the time [s]."""
         return x.t
 
-    def basis(self, z: Array) -> Float[Array, "2 ..."]:
+    def basis(self, z: Array) -> tuple[Array, Array]:
         """Returns the basis functions at the time z."""
-        return jnp.stack([z, z**2])
+        return z, z**2
 
-    def read(self, true):
-        a, b = self.basis(true.t)
-        return _changed(true, self.sensor(), lambda y: self.a * a + self.b * b)
+    def change(self, z, t):
+        a, b = self.basis(t)
+        return self.a * a + self.b * b
 
 
-class SensorSine(Instrument):
-    """y_read = y + s (a sin(2 pi f t) + b cos(2 pi f t)), with the scale s of the sensor."""
+class SensorGainDrift(SensorDrift):
+    """f = (a t + b t^2) y/s, with the time t of the trial and the reading y."""
+
+    term_curve = OF_GAIN
+
+    def change(self, z, t):
+        return z * super().change(z, t)
+
+
+class SensorSine(SensorTerm):
+    """f = a sin(2 pi f t) + b cos(2 pi f t)."""
+
+    term_curve = OF_PHASE
 
     a: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
     """a, amplitude of the sine."""
@@ -104,151 +161,134 @@ class SensorSine(Instrument):
     frequency: Scalar = shape_parameter(10.0, 0.1, 500.0, "Hz", "usual sample rates resolve these")
     """f, frequency of the largest sine in the residual."""
 
-    @abstractmethod
-    def sensor(self) -> Sensor:
-        """Returns the sensor whose readings change."""
-
     def state(self, x: Readings) -> Array:
-        """Returns the time [s]."""
-        return x.t
+        """Returns the fraction of f t: 0 at the start of a period, 1 at its end."""
+        return jnp.mod(self.frequency * x.t, 1.0)
 
-    def basis(self, z: Array) -> Float[Array, "2 ..."]:
-        """Returns the basis functions at the time z."""
-        angle = 2.0 * math.pi * self.frequency * z
-        return jnp.stack([jnp.sin(angle), jnp.cos(angle)])
+    def basis(self, z: Array) -> tuple[Array, Array]:
+        """Returns the basis functions at the phase z."""
+        return jnp.sin(2.0 * math.pi * z), jnp.cos(2.0 * math.pi * z)
 
-    def read(self, true):
-        a, b = self.basis(true.t)
-        return _changed(true, self.sensor(), lambda y: self.a * a + self.b * b)
+    def change(self, z, t):
+        a, b = self.basis(self.frequency * t)
+        return self.a * a + self.b * b
 
 
-class PressureReadingPowers(SensorPowers):
-    """A nonlinear characteristic of the pressure sensors."""
+class PressureReadingPowers(OfPressure, SensorOddPowers):
+    """An error that is an odd function of the reading of the pressure sensors."""
 
     title = "nonlinearity of the pressure sensors"
-    sensors = ("pressure",)
-    term_curve = Curve(*OF_READING)
-
-    def sensor(self):
-        return PRESSURE
 
 
-class PressureReadingDrift(SensorDrift):
+class PressureReadingPowersBySign(OfPressure, SensorEvenPowers):
+    """An error that is an even function of the reading of the pressure sensors."""
+
+    title = "nonlinearity of the pressure sensors that depends on the sign"
+
+
+class PressureReadingDrift(OfPressure, SensorDrift):
     """A drift of the pressure sensors."""
 
     title = "drift of the pressure sensors"
-    sensors = ("pressure",)
-    term_curve = Curve(*OF_TIME)
-
-    def sensor(self):
-        return PRESSURE
 
 
-class PressureReadingSine(SensorSine):
+class PressureReadingGainDrift(OfPressure, SensorGainDrift):
+    """A drift of the gain of the pressure sensors."""
+
+    title = "drift of the gain of the pressure sensors"
+
+
+class PressureReadingSine(OfPressure, SensorSine):
     """A sine in the readings of the pressure sensors."""
 
     title = "a sine in the readings of the pressure sensors"
-    sensors = ("pressure",)
-    term_curve = Curve(*OF_TIME)
-
-    def sensor(self):
-        return PRESSURE
 
 
-class ThrustReadingPowers(SensorPowers):
-    """A nonlinear characteristic of the thrust sensor."""
+class ThrustReadingPowers(OfThrust, SensorOddPowers):
+    """An error that is an odd function of the reading of the thrust sensor."""
 
     title = "nonlinearity of the thrust sensor"
-    sensors = ("thrust",)
-    term_curve = Curve(*OF_READING)
-
-    def sensor(self):
-        return THRUST
 
 
-class ThrustReadingDrift(SensorDrift):
+class ThrustReadingPowersBySign(OfThrust, SensorEvenPowers):
+    """An error that is an even function of the reading of the thrust sensor."""
+
+    title = "nonlinearity of the thrust sensor that depends on the sign"
+
+
+class ThrustReadingDrift(OfThrust, SensorDrift):
     """A drift of the thrust sensor."""
 
     title = "drift of the thrust sensor"
-    sensors = ("thrust",)
-    term_curve = Curve(*OF_TIME)
-
-    def sensor(self):
-        return THRUST
 
 
-class ThrustReadingSine(SensorSine):
+class ThrustReadingGainDrift(OfThrust, SensorGainDrift):
+    """A drift of the gain of the thrust sensor."""
+
+    title = "drift of the gain of the thrust sensor"
+
+
+class ThrustReadingSine(OfThrust, SensorSine):
     """A sine in the readings of the thrust sensor."""
 
     title = "a sine in the readings of the thrust sensor"
-    sensors = ("thrust",)
-    term_curve = Curve(*OF_TIME)
-
-    def sensor(self):
-        return THRUST
 
 
-class RecoilReadingPowers(SensorPowers):
-    """A nonlinear characteristic of the recoil sensor."""
+class RecoilReadingPowers(OfRecoil, SensorOddPowers):
+    """An error that is an odd function of the reading of the recoil sensor."""
 
     title = "nonlinearity of the recoil sensor"
-    sensors = ("recoil",)
-    term_curve = Curve(*OF_READING)
-
-    def sensor(self):
-        return RECOIL
 
 
-class RecoilReadingDrift(SensorDrift):
+class RecoilReadingPowersBySign(OfRecoil, SensorEvenPowers):
+    """An error that is an even function of the reading of the recoil sensor."""
+
+    title = "nonlinearity of the recoil sensor that depends on the sign"
+
+
+class RecoilReadingDrift(OfRecoil, SensorDrift):
     """A drift of the recoil sensor."""
 
     title = "drift of the recoil sensor"
-    sensors = ("recoil",)
-    term_curve = Curve(*OF_TIME)
-
-    def sensor(self):
-        return RECOIL
 
 
-class RecoilReadingSine(SensorSine):
+class RecoilReadingGainDrift(OfRecoil, SensorGainDrift):
+    """A drift of the gain of the recoil sensor."""
+
+    title = "drift of the gain of the recoil sensor"
+
+
+class RecoilReadingSine(OfRecoil, SensorSine):
     """A sine in the readings of the recoil sensor."""
 
     title = "a sine in the readings of the recoil sensor"
-    sensors = ("recoil",)
-    term_curve = Curve(*OF_TIME)
-
-    def sensor(self):
-        return RECOIL
 
 
-class TipReadingPowers(SensorPowers):
-    """A nonlinear characteristic of the tip sensor."""
+class TipReadingPowers(OfTip, SensorOddPowers):
+    """An error that is an odd function of the reading of the tip sensor."""
 
     title = "nonlinearity of the tip sensor"
-    sensors = ("tip",)
-    term_curve = Curve(*OF_READING)
-
-    def sensor(self):
-        return TIP
 
 
-class TipReadingDrift(SensorDrift):
+class TipReadingPowersBySign(OfTip, SensorEvenPowers):
+    """An error that is an even function of the reading of the tip sensor."""
+
+    title = "nonlinearity of the tip sensor that depends on the sign"
+
+
+class TipReadingDrift(OfTip, SensorDrift):
     """A drift of the tip sensor."""
 
     title = "drift of the tip sensor"
-    sensors = ("tip",)
-    term_curve = Curve(*OF_TIME)
-
-    def sensor(self):
-        return TIP
 
 
-class TipReadingSine(SensorSine):
+class TipReadingGainDrift(OfTip, SensorGainDrift):
+    """A drift of the gain of the tip sensor."""
+
+    title = "drift of the gain of the tip sensor"
+
+
+class TipReadingSine(OfTip, SensorSine):
     """A sine in the readings of the tip sensor."""
 
     title = "a sine in the readings of the tip sensor"
-    sensors = ("tip",)
-    term_curve = Curve(*OF_TIME)
-
-    def sensor(self):
-        return TIP

@@ -2,13 +2,14 @@
 
 import importlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from calibration.model.extended import candidate_effects
-from slider_jax.effects import dictionary
+from slider_jax.effects import Readings, dictionary
 from slider_jax.effects.check import checked_effects
 from slider_jax.effects.functions import Powers, even_powers, odd_powers
 from slider_jax.effects.library import DICTIONARY, LIBRARY
@@ -29,7 +30,7 @@ def test_terms_vanish_at_their_nulls_and_have_finite_tangents(name):
 
 
 def test_the_dictionary_is_no_part_of_the_library():
-    assert len(FILES) == 4 and len(DICTIONARY) == 33
+    assert len(FILES) == 5 and len(DICTIONARY) == 49
     assert not set(DICTIONARY) & (set(LIBRARY) | set(candidate_effects()))
 
 
@@ -51,10 +52,46 @@ def test_powers_are_constant_beyond_the_largest_visited_state():
     np.testing.assert_allclose(odd, -odd[:, ::-1])
     np.testing.assert_allclose(even, np.abs(odd))
     scaled = [kind() for kind in DICTIONARY.values() if issubclass(kind, Powers)]
-    assert len(scaled) == 15
+    assert len(scaled) == 27
     for term in scaled:
         ends = np.asarray(term.basis(term.scale * jnp.array([-3.0, -1.0, 1.0, 3.0])))
         np.testing.assert_allclose(ends[:, [0, 3]], ends[:, [1, 2]])
+
+
+def test_a_drift_of_the_gain_is_proportional_to_the_reading():
+    t = jnp.array([0.0, 1.0, 2.0])
+    true = Readings(t, 1e5 * (1.0 + t), -2e5 * t, t, t, t)
+    read = DICTIONARY["pressure_reading_gain_drift"](a=0.1, b=0.02).read(true)
+    gain = 1.0 + 0.1 * t + 0.02 * t**2
+    np.testing.assert_allclose(read.p_front, gain * true.p_front)
+    np.testing.assert_allclose(read.p_rear, gain * true.p_rear)
+    np.testing.assert_array_equal(read.tip, true.tip)
+
+
+@pytest.mark.parametrize(("name", "axis"), [("water_sine_along", 0), ("water_sine_across", 1)])
+def test_the_water_oscillates_along_one_axis(name, axis):
+    t = jnp.linspace(0.0, 1.0, 30)
+    velocity = DICTIONARY[name](a=0.1, b=-0.05, frequency=2.7).velocity(t)
+    angle = 2.0 * np.pi * 2.7 * t
+    expected = 0.1 * jnp.sin(angle) - 0.05 * jnp.cos(angle)
+    np.testing.assert_allclose(velocity[axis], expected, atol=1e-12)
+    np.testing.assert_array_equal(velocity[1 - axis], 0.0)
+
+
+def test_damping_terms_have_the_stated_signs():
+    """Columns: both signs of the curvature, and both signs of its rate."""
+    kappa, rate = jnp.array([2.0, 2.0, -2.0, -2.0]), jnp.array([30.0, -30.0, 30.0, -30.0])
+    x = SimpleNamespace(kappa=kappa, kappa_t=rate, EI=1.0, in_tail=jnp.zeros(4))
+
+    def signs(name, **factors):
+        moment, _ = DICTIONARY[name](**factors).moment(x, jnp.zeros(4), 1e-3)
+        return np.sign(moment).tolist()
+
+    assert signs("moment_of_rate_by_side", body=1.0) == [1, 1, 1, 1]
+    assert signs("moment_of_straightening", body=1.0) == [1, 1, -1, -1]
+    assert signs("damping_of_body", a=1.0) == [1, -1, -1, 1]
+    assert signs("damping_of_body", c=1.0) == [1, -1, 1, -1]
+    assert signs("damping_of_tail", a=1.0) == [0, 0, 0, 0]
 
 
 def test_the_simulation_of_a_model_file_contains_its_terms(tmp_path):
