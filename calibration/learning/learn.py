@@ -35,6 +35,9 @@ from slider_jax.effects.library import DICTIONARY
 
 Progress = Callable[[str], None]
 
+FREQUENCY_RANGE = 1.2
+"""Largest ratio of a learned sine's frequency to the frequency of the peak in the residual."""
+
 
 @dataclass(frozen=True)
 class Dictionary:
@@ -94,9 +97,13 @@ class Dictionary:
         frequencies = _frequencies(outcome, found, start)
         for i, p in enumerate(entries):
             if p.effect in DICTIONARY and p.is_shape:
-                sensor = DICTIONARY[p.effect].sensors[0]
-                x = scales.get(p.effect, frequencies.get(sensor, p.prior.null))
-                theta[i] = np.clip(x, p.prior.low, p.prior.high)
+                lines = [frequencies[s] for s in DICTIONARY[p.effect].sensors if s in frequencies]
+                _, frequency = min(lines, default=(1.0, p.prior.null))
+                x = np.clip(scales.get(p.effect, frequency), p.prior.low, p.prior.high)
+                theta[i] = x
+                if p.name == "frequency":
+                    low, high = x / FREQUENCY_RANGE, x * FREQUENCY_RANGE
+                    entries[i] = p._replace(prior=p.prior._replace(low=low, high=high))
         return cls(outcome, list(effects), found, entries, start._replace(theta=theta))
 
     @property
@@ -133,9 +140,14 @@ class Dictionary:
         return place_gains(refits, start, self.places, problem.whitened(tangents, white))
 
 
-def _frequencies(outcome: LoopOutcome, problem: TankProblem, start: Fit) -> dict[str, float]:
-    """Returns the frequency [Hz] of the largest sine in the residual of each sensor."""
-    part, found = problem.part(outcome.used_trials), dict[str, float]()
+def _frequencies(
+    outcome: LoopOutcome, problem: TankProblem, start: Fit
+) -> dict[str, tuple[float, float]]:
+    """Returns p-value and frequency [Hz] of the largest sine in the residual of each sensor.
+
+    Without a significant sine, the p-value is 1, and the frequency is that of the largest peak.
+    """
+    part, found = problem.part(outcome.used_trials), dict[str, tuple[float, float]]()
     left = tested_excess(part, start)
     floor = outcome.search.settings.noise_floor
     for x in locate_residuals(part.records, start.predicted, left, floor):
@@ -143,8 +155,8 @@ def _frequencies(outcome: LoopOutcome, problem: TankProblem, start: Fit) -> dict
         sensor = "pressure" if CHANNELS[channel].kind == "pressure" else channel
         lines = [p for p in left[channel].patterns if p.has_line]
         if lines:
-            found[sensor] = min(lines, key=lambda p: p.line_p).frequency_Hz
-        found.setdefault(sensor, x["in_worst_trial"]["peak_Hz"])
+            found[sensor] = min((p.line_p, p.frequency_Hz) for p in lines)
+        found.setdefault(sensor, (1.0, x["in_worst_trial"]["peak_Hz"]))
     return found
 
 
@@ -209,10 +221,10 @@ class Learning:
 def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) -> Learning | None:
     """Returns the result of learning, or None if the verdict requires no learned function.
 
-    A correction may only resemble the cause. The function is therefore learned without the
-    corrections first. If the residual with this function remains above the noise floor, a function
-    is learned beside all effects too. The result is then the function that reaches the noise floor,
-    or the function with the smaller error if its error is below the error of the loop's model.
+    An added effect may only resemble the cause. The function is therefore learned without effects
+    first, then beside the effects that are no corrections, then beside all effects. The result is
+    the first function that reaches the noise floor. Without such a function, the result is the
+    function with the smallest error, if this error is below the error of the loop's model.
     """
     if outcome.verdict not in (PARTLY, UNEXPLAINED):
         return None
@@ -233,16 +245,18 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
         known = Dictionary.of(outcome, effects, scales, progress)
         return _learned(Learning(outcome, selection, estimation), known, progress)
 
-    found = learned([n for n in outcome.effects if n not in outcome.corrections])
-    if not outcome.corrections or found.reaches_floor:
-        return found
-    beside = learned(outcome.effects)
+    kept = [n for n in outcome.effects if n not in outcome.corrections]
+    attempts: list[Learning] = []
+    for effects in sorted({(), tuple(kept), tuple(outcome.effects)}, key=len):
+        attempts.append(learned(effects))
+        if attempts[-1].reaches_floor:
+            return attempts[-1]
     better = [
-        (x.model.growth.mean, k, x)
-        for k, x in enumerate((beside, found))
+        (x.model.growth.mean, k)
+        for k, x in enumerate(attempts)
         if x.model is not None and x.model.growth.mean < 0.0
     ]
-    return beside if beside.reaches_floor or not better else min(better)[2]
+    return attempts[min(better)[1]] if better else attempts[-1]
 
 
 def _learned(found: Learning, known: Dictionary, progress: Progress) -> Learning:
@@ -264,7 +278,12 @@ def _estimate(found: Learning, known: Dictionary, best: PlaceGain, progress: Pro
     terms, theta = best.groups, best.fit.theta
     while terms:
         progress(f"estimating {', '.join(terms)}")
-        free = np.concatenate([known.start.free, *(groups[name] for name in terms)])
+        frequencies = [
+            i for i, p in enumerate(known.entries) if p.effect in terms and p.name == "frequency"
+        ]
+        free = np.concatenate(
+            [known.start.free, *(groups[name] for name in terms), np.array(frequencies, int)]
+        )
         fit = fit_gauss_newton(problem, known.entries, theta, free, progress)
         if not np.isfinite(fit.errors).all():
             names = ", ".join(terms)

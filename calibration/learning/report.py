@@ -126,7 +126,7 @@ def learned_text(learning: Learning) -> str:
     replaced = learned.dictionary.replaced
     if replaced:
         text += f" model.toml does not contain {', '.join(replaced)}: the function replaces "
-        text += "this correction." if len(replaced) == 1 else "these corrections."
+        text += "this effect." if len(replaced) == 1 else "these effects."
     if not learned.fit.converged:
         text += " The fit of the function did not converge."
     if learning.equal_places:

@@ -45,27 +45,34 @@ def choice(monkeypatch, growths, at_floor=(), corrections=CORRECTIONS):
     return learn_terms(outcome).number, attempts
 
 
+def test_a_function_at_the_noise_floor_replaces_all_effects(monkeypatch):
+    assert choice(monkeypatch, [-2.0], at_floor=[0]) == (0, [[]])
+
+
 def test_a_function_at_the_noise_floor_replaces_the_corrections(monkeypatch):
-    assert choice(monkeypatch, [-2.0], at_floor=[0]) == (0, [["camera_delay"]])
+    found = choice(monkeypatch, [-3.0, -2.0], at_floor=[1])
+    assert found == (1, [[], ["camera_delay"]])
 
 
 @pytest.mark.parametrize(
     ("growths", "at_floor", "chosen"),
     [
-        ([-1.0, -2.0], [], 1),
-        ([-2.0, -1.0], [], 0),
-        ([-2.0, -1.0], [1], 1),
-        ([None, 0.01], [], 1),
-        ([-0.1, None], [], 0),
-        ([0.04, None], [], 1),  # the loop's model without a function is better
-        ([None, None], [], 1),
+        ([-1.0, -1.5, -2.0], [], 2),
+        ([-1.0, -2.0, -1.5], [], 1),
+        ([-2.0, -1.0, -0.5], [2], 2),
+        ([None, None, 0.01], [], 2),
+        ([-0.1, None, None], [], 0),
+        ([0.04, None, None], [], 2),  # the loop's model without a function is better
+        ([None, None, None], [], 2),
     ],
 )
 def test_a_function_above_the_floor_has_to_improve_the_model(
     monkeypatch, growths, at_floor, chosen
 ):
-    assert choice(monkeypatch, growths, at_floor) == (chosen, [["camera_delay"], EFFECTS])
+    attempts = [[], ["camera_delay"], EFFECTS]
+    assert choice(monkeypatch, growths, at_floor) == (chosen, attempts)
 
 
-def test_without_corrections_there_is_one_attempt(monkeypatch):
-    assert choice(monkeypatch, [None], corrections=[]) == (0, [EFFECTS])
+def test_no_attempt_is_repeated(monkeypatch):
+    assert choice(monkeypatch, [None, None], corrections=[]) == (1, [[], EFFECTS])
+    assert choice(monkeypatch, [None, None], corrections=EFFECTS) == (1, [[], EFFECTS])
