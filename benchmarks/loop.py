@@ -1,6 +1,6 @@
 """Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
-    python benchmarks/loop.py null noise single double outside --out DIR
+    python benchmarks/loop.py null noise single double outside fresh --out DIR
     python benchmarks/loop.py table --out DIR
 
 The benchmark writes one file per tank to DIR. An interrupted run resumes when you repeat the
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import other_methods
-from summary import summary_tables
+from summary import LACKING, summary_tables
 from tanks import (
     NOISES,
     close_tank_loop,
@@ -28,7 +28,6 @@ from tanks import (
     sample_tank,
     true_readings,
 )
-from unknown_effects import UNKNOWN_EFFECTS
 
 from calibration.discrepancy import report
 from calibration.discrepancy.close_loop import LoopOutcome
@@ -90,7 +89,7 @@ TRIALS, TRIALS_OUTSIDE = 6, 8
 """Number of trials of a tank. The loop learns a function only from eight or more trials."""
 COMPARED = 6
 """The other methods run on this number of tanks of each kind and size."""
-KINDS = ("null", "noise", "single", "double", "outside", "table")
+KINDS = ("null", "noise", "single", "double", *LACKING, "table")
 
 
 class Case(NamedTuple):
@@ -122,15 +121,15 @@ class MemoryCache:
 
 def trials_of(kind: str) -> int:
     """Returns the number of trials of the tanks of a kind."""
-    return TRIALS_OUTSIDE if kind == "outside" else TRIALS
+    return TRIALS_OUTSIDE if kind in LACKING else TRIALS
 
 
 def limits_of(kind: str, seed: int, out: Path) -> dict[str, float]:
     """Returns the detection limits in a tank from a file. Computes and writes a missing file."""
-    path = out / f"limits_{'outside' if kind == 'outside' else 'library'}_{seed}.json"
+    path = out / f"limits_{kind if kind in LACKING else 'library'}_{seed}.json"
     if not path.exists():
         print(f"computing {path.name}", flush=True)
-        names = [*UNKNOWN_EFFECTS] if kind == "outside" else [*SINGLES]
+        names = [*LACKING.get(kind, SINGLES)]
         found = detection_limits(sample_tank(seed, trials_of(kind)), names)
         write_json(path, {f"{e}.{p}": x for (e, p), x in found.items()})
     return {k: np.inf if x is None else x for k, x in json.loads(path.read_text()).items()}
@@ -199,9 +198,9 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
                 )
             if all(both.values()):
                 yield Case(kind, "+".join(pair), seed, both, PAIR_SIZE, compared=i < COMPARED)
-    if kind == "outside":
+    if kind in LACKING:
         for times in SIZES[:2]:
-            for i, name in enumerate(UNKNOWN_EFFECTS):
+            for i, name in enumerate(LACKING[kind]):
                 limit = limits_of(kind, i % TANKS, out)[f"{name}.size"]
                 sized = _sized(name, "size", times * limit, i % TANKS)
                 if sized:
@@ -226,14 +225,15 @@ def run_case(
     tank, memo = sample_tank(case.seed, trials_of(case.kind)), MemoryCache()
     start = time.perf_counter()
     # With the same names in all cases of a kind, the cases share compiled programs.
-    simulated = {"outside": [*UNKNOWN_EFFECTS], "single": [*SINGLES], "double": [*SINGLES]}
+    simulated = {"single": [*SINGLES], "double": [*SINGLES]}
+    simulated |= {kind: [*effects] for kind, effects in LACKING.items()}
     true = true_readings(tank, case.effects, simulated.get(case.kind, ()))
     if not all(np.isfinite(y).all() for y in true):
         return {"left_out": "the tank cannot be simulated with this effect"}
     found = noisy_records(tank, true, _seeded(case.seed, case.kind, case.name), case.noise)
     made, start = time.perf_counter() - start, time.perf_counter()
     outcome = close_tank_loop(tank, found, candidates, memo, progress)
-    learning = learn_terms(outcome, progress) if case.kind == "outside" else None
+    learning = learn_terms(outcome, progress) if case.kind in LACKING else None
     seconds = time.perf_counter() - start
     record = outcome_record(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
     if learning is not None:
@@ -354,7 +354,8 @@ def main() -> None:
     part, parts = map(int, arguments.part.split("/"))
     prepare_jax()
     candidates = candidate_effects()
-    load_effects(Path(__file__).parent / "unknown_effects.py")
+    for name in ("unknown_effects", "fresh_effects"):
+        load_effects(Path(__file__).parent / f"{name}.py")
     for what in arguments.what:
         if what == "table":
             print(summary_tables(arguments.out))

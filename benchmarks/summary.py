@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fresh_effects import FRESH_EFFECTS
 from scipy.optimize import linear_sum_assignment
 from unknown_effects import UNKNOWN_EFFECTS
 
 from calibration.discrepancy.verdict import INCONCLUSIVE, NOTHING, PARTLY, PROVISIONAL, UNEXPLAINED
 from slider_jax.effects.library import LIBRARY
 
+LACKING = {"outside": UNKNOWN_EFFECTS, "fresh": FRESH_EFFECTS}
+"""Effects that the library lacks, by kind of case."""
 EXPLAINABLE = 1.1
 """A case has a residual to explain if the held-out rms divided by the noise floor is larger."""
 NAMING = ("sparse", "stepwise", "knockoffs")
@@ -87,7 +90,7 @@ def rated_location(case: dict[str, Any]) -> str:
     the place is right if a named cause, a learned function, or the channel with the largest
     residual agrees with the true effect.
     """
-    truth = UNKNOWN_EFFECTS[next(iter(case["case"]["effects"]))]
+    truth = LACKING[case["case"]["kind"]][next(iter(case["case"]["effects"]))]
     causes = named_causes(case)
     if causes:
         if not all(len(cause) > 1 for cause in causes):
@@ -142,9 +145,12 @@ def summary_tables(out: Path) -> str:
         empty = sum(not x["effects"] for x in doubles)
         lines = [f"Two effects, {len(doubles)} pairs: F1 {f1(doubles):.3f}; {empty} empty models"]
         parts.append("\n".join([*lines, *(_case_line(x) for x in doubles)]))
-    outside = read_cases(out, "outside")
-    if outside:
-        parts.append(_outside_table(outside))
+    outside = []
+    for kind in LACKING:
+        found = read_cases(out, kind)
+        outside += found
+        if found:
+            parts.append(_outside_table(kind, found))
     skill = skills(x for x in (*singles, *doubles) if named_causes(x))
     if skill:
         parts.append(
@@ -220,9 +226,9 @@ def _single_table(singles: Sequence[dict[str, Any]]) -> str:
     return "\n".join([*lines, "", *(_case_line(x) for x in singles if not is_right(x))])
 
 
-def _outside_table(outside: Sequence[dict[str, Any]]) -> str:
+def _outside_table(kind: str, outside: Sequence[dict[str, Any]]) -> str:
     ratings = [rated_location(x) for x in outside]
-    lines = [f"{len(ratings)} tanks with effects that the library lacks:"]
+    lines = [f"{len(ratings)} tanks of the kind {kind}, with effects that the library lacks:"]
     lines += [f"- {x}: {ratings.count(x)}" for x in sorted(set(ratings))]
     shares = [removed_excess(x) for x in outside]
     learned = [x is not None for x in shares]
