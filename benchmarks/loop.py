@@ -72,6 +72,7 @@ PAIRS = (
     ("side_mismatch", "force_clock_offset"), ("internal_friction", "tow_speed_error"),
     ("chamber_mismatch", "tail_drag"), ("tail_rest_curvature", "leakage"),
     ("tip_mass", "side_lag"),
+    ("pressure_sensor_lag", "head_drag"), ("supply_depletion", "lens_distortion"),
 )  # fmt: skip
 """Pairs of effects. The first effect of every fifth pair is beyond its prior range."""
 PAIR_SIZE, BEYOND = 5.0, 1.4

@@ -278,12 +278,11 @@ def _estimate(found: Learning, known: Dictionary, best: PlaceGain, progress: Pro
     terms, theta = best.groups, best.fit.theta
     while terms:
         progress(f"estimating {', '.join(terms)}")
-        frequencies = [
+        sines = [
             i for i, p in enumerate(known.entries) if p.effect in terms and p.name == "frequency"
         ]
-        free = np.concatenate(
-            [known.start.free, *(groups[name] for name in terms), np.array(frequencies, int)]
-        )
+        strengths = [groups[name] for name in terms]
+        free = np.concatenate([known.start.free, *strengths, np.array(sines, int)])
         fit = fit_gauss_newton(problem, known.entries, theta, free, progress)
         if not np.isfinite(fit.errors).all():
             names = ", ".join(terms)

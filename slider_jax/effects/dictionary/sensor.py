@@ -150,7 +150,7 @@ class SensorGainDrift(SensorDrift):
 
 
 class SensorSine(SensorTerm):
-    """f = a sin(2 pi f t) + b cos(2 pi f t)."""
+    """y_read = y + s (a sin(2 pi f t) + b cos(2 pi f t)), with the frequency f."""
 
     term_curve = OF_PHASE
 
