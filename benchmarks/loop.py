@@ -1,6 +1,6 @@
 """Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
-    python benchmarks/loop.py null noise single double outside fresh --out DIR
+    python benchmarks/loop.py null noise situation single double outside fresh --out DIR
     python benchmarks/loop.py table --out DIR
 
 The benchmark writes one file per tank to DIR. An interrupted run resumes when you repeat the
@@ -22,6 +22,9 @@ import other_methods
 from summary import LACKING, summary_tables
 from tanks import (
     NOISES,
+    OTHER_ROBOT,
+    SITUATIONS,
+    Tank,
     close_tank_loop,
     detection_limits,
     noisy_records,
@@ -90,7 +93,11 @@ TRIALS, TRIALS_OUTSIDE = 6, 8
 """Number of trials of a tank. The loop learns a function only from eight or more trials."""
 COMPARED = 6
 """The other methods run on this number of tanks of each kind and size."""
-KINDS = ("null", "noise", "single", "double", *LACKING, "table")
+IN_SITUATIONS = ("valve_delay", "body_stiffness", "clamp_compliance")
+"""Effects that are tested in each situation of a laboratory, at ten times the detection limit."""
+SITUATION_TANKS, FIRST_SITUATION = 6, 7000
+"""Number of tanks without a missing effect in each situation, and seed of the first."""
+KINDS = ("null", "noise", "situation", "single", "double", *LACKING, "table")
 
 
 class Case(NamedTuple):
@@ -103,6 +110,7 @@ class Case(NamedTuple):
     effects: Mapping[str, Mapping[str, float]] = {}
     size: float = 0.0
     noise: str = "declared"
+    """One of `NOISES` or of `SITUATIONS`."""
     compared: bool = False
     """Whether the other methods run on this tank."""
 
@@ -134,6 +142,14 @@ def limits_of(kind: str, seed: int, out: Path) -> dict[str, float]:
         found = detection_limits(sample_tank(seed, trials_of(kind)), names)
         write_json(path, {f"{e}.{p}": x for (e, p), x in found.items()})
     return {k: np.inf if x is None else x for k, x in json.loads(path.read_text()).items()}
+
+
+def tank_of(case: Case) -> Tank:
+    """Returns the tank of a case."""
+    trials = trials_of(case.kind)
+    if case.noise == "other_robot":
+        return sample_tank(case.seed, trials, robot=OTHER_ROBOT)
+    return sample_tank(case.seed, trials)
 
 
 def _seeded(*parts: Any) -> int:
@@ -178,6 +194,18 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
             for i, noise in enumerate(NOISES[1:]):
                 seed = FIRST_NOISE + i * NOISE_TANKS + k
                 yield Case(kind, f"{noise}_{seed}", seed, noise=noise)
+    if kind == "situation":
+        for k in range(SITUATION_TANKS):
+            for i, noise in enumerate(SITUATIONS):
+                seed = FIRST_SITUATION + i * SITUATION_TANKS + k
+                yield Case(kind, f"{noise}_{seed}", seed, noise=noise)
+        for noise in SITUATIONS:
+            for i, effect in enumerate(IN_SITUATIONS):
+                limit = limits_of(kind, i, out)[f"{effect}.{SINGLES[effect]}"]
+                sized = _sized(effect, SINGLES[effect], SIZES[0] * limit, i)
+                if sized:
+                    name = f"{noise}_{effect}"
+                    yield Case(kind, name, i, {effect: sized}, SIZES[0], noise)
     if kind == "single":
         for times in SIZES:
             for i, (effect, parameter) in enumerate(SINGLES.items()):
@@ -223,10 +251,10 @@ def run_case(
     case: Case, candidates: Sequence[str], compared: bool, progress: Callable[[str], None]
 ) -> dict[str, Any]:
     """Returns the results of the loop on a case, and of the other methods if `compared`."""
-    tank, memo = sample_tank(case.seed, trials_of(case.kind)), MemoryCache()
+    tank, memo = tank_of(case), MemoryCache()
     start = time.perf_counter()
     # With the same names in all cases of a kind, the cases share compiled programs.
-    simulated = {"single": [*SINGLES], "double": [*SINGLES]}
+    simulated = {kind: [*SINGLES] for kind in ("single", "double", "situation")}
     simulated |= {kind: [*effects] for kind, effects in LACKING.items()}
     true = true_readings(tank, case.effects, simulated.get(case.kind, ()))
     if not all(np.isfinite(y).all() for y in true):

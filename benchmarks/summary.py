@@ -138,6 +138,9 @@ def summary_tables(out: Path) -> str:
     nulls, noisy = read_cases(out, "null"), read_cases(out, "noise")
     if nulls or noisy:
         parts.append(_null_table(nulls, noisy))
+    situations = read_cases(out, "situation")
+    if situations:
+        parts.append(_situation_table(situations))
     singles, doubles = read_cases(out, "single"), read_cases(out, "double")
     if singles:
         parts.append(_single_table(singles))
@@ -158,7 +161,7 @@ def summary_tables(out: Path) -> str:
             f"{np.median(skill):.3f}, smallest {min(skill):.3f}"
         )
     parts.append(_method_table([*nulls, *singles, *doubles, *outside]))
-    everything = [*nulls, *noisy, *singles, *doubles, *outside]
+    everything = [*nulls, *noisy, *situations, *singles, *doubles, *outside]
     seconds = [x["seconds"] for x in everything]
     parts.append(
         f"{len(everything)} tanks, {np.median(seconds):.0f} s at the median, "
@@ -198,6 +201,25 @@ def _null_table(nulls: Sequence[dict[str, Any]], noisy: Sequence[dict[str, Any]]
             lines.append(f"- {name}: {_share(_coverage(own, 'parameters'))}")
         lines.append(f"- all: {_share(_coverage(nulls, 'parameters'))}")
     return "\n".join(lines)
+
+
+def _situation_table(found: Sequence[dict[str, Any]]) -> str:
+    """Returns the verdicts in each situation, without a missing effect and with one."""
+    lines = [
+        "| situation | complete models: a named effect | another verdict than nothing missing "
+        "| one effect: correct |",
+        "|---|---|---|---|",
+    ]
+    for situation in dict.fromkeys(x["case"]["noise"] for x in found):
+        own = [x for x in found if x["case"]["noise"] == situation]
+        nulls = [x for x in own if not x["case"]["effects"]]
+        named = _share([bool(named_causes(x)) for x in nulls])
+        other = _share([x["verdict"] != NOTHING for x in nulls])
+        right = _share([is_right(x) for x in own if x["case"]["effects"]])
+        lines.append(f"| {situation} | {named} | {other} | {right} |")
+    wrong = [x for x in found if x["case"]["effects"] and not is_right(x)]
+    wrong += [x for x in found if not x["case"]["effects"] and x["verdict"] != NOTHING]
+    return "\n".join([*lines, "", *(_case_line(x) for x in wrong)])
 
 
 def _single_table(singles: Sequence[dict[str, Any]]) -> str:

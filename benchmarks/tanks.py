@@ -49,6 +49,20 @@ WHITE = ("pressure_noise", "force_noise", "tip_noise")
 NOISES = ("declared", "larger", "smaller", "heavy_tails", "drift")
 """Kinds of noise: as declared, 25 % more or less than declared, with the t-distribution of three
 degrees of freedom, and with a random walk of the forces."""
+SITUATIONS = ("quantised", "clock_skew", "no_force", "camera_only", "other_robot")
+"""Situations of a laboratory: coarse converters (`STEPS`), a clock of the force sensor that is fast
+by `SKEW`, no force sensor, only a camera, and another robot (`OTHER_ROBOT`)."""
+STEPS = {"pressure": 1000.0, "force": 0.01, "camera": 5e-4}
+"""Quantisation steps [Pa, N, m] of the situation `quantised`, about one standard deviation of the
+white noise for pressure and camera."""
+SKEW = 2e-4
+"""Relative error of the clock, which is four times the tolerance of usual quartz oscillators."""
+OTHER_ROBOT = ROBOT | {
+    "body_length": 0.4, "tail_length": 0.09, "linear_density": 1.1, "EI_body": 0.06,
+    "EI_tail": 0.012, "damping_time": 0.003, "height": 0.045,
+    "front_chamber": [0.03, 0.19], "rear_chamber": [0.21, 0.37],
+}  # fmt: skip
+"""A robot that is longer, heavier and stiffer than SLIDER."""
 WALK = 0.02
 """Standard deviation [N] of the random walk of a force after one second: the white noise."""
 
@@ -63,11 +77,13 @@ class Tank:
     resolution: Resolution
 
 
-def sample_tank(seed: int, trials: int = 6, folder: Path = Path(".")) -> Tank:
+def sample_tank(
+    seed: int, trials: int = 6, folder: Path = Path("."), robot: Mapping[str, object] = ROBOT
+) -> Tank:
     """Returns a tank with sampled base parameters and drives. Resolutions are used in turn."""
     truth = random_base_parameters(np.random.default_rng([seed, 1]))
     content = {
-        "name": f"tank_{seed}", "robot": ROBOT, "parameters": START,
+        "name": f"tank_{seed}", "robot": robot, "parameters": START,
         "sensors": Sensors().declared(),
         "trials": random_trials(seed, trials, SECONDS),
     }  # fmt: skip
@@ -105,13 +121,22 @@ def true_readings(
 def noisy_records(
     tank: Tank, true: Sequence[np.ndarray], seed: int, noise: str = "declared"
 ) -> list[Record]:
-    """Returns the records of the tank's sensors for `true` readings with one kind of `NOISES`."""
+    """Returns the records of the tank's sensors for `true` readings.
+
+    `noise` is one of `NOISES` or of `SITUATIONS`.
+    """
     rng, records, declared = np.random.default_rng([seed, 2]), [], Sensors()
     factor = {"larger": 1.25, "smaller": 0.75, "heavy_tails": 0.0}.get(noise, 1.0)
     sensors = declared._replace(**{name: factor * getattr(declared, name) for name in WHITE})
     for trial, y in zip(tank.experiment.trials, true, strict=True):
         t = np.arange(y.shape[1]) / declared.sample_rate
         named = {"t_s": t} | {CHANNELS[c].column: row for c, row in zip(CHANNELS, y, strict=True)}
+        if noise == "clock_skew":
+            named |= {
+                x.column: np.interp(t * (1.0 + SKEW), t, named[x.column])
+                for x in CHANNELS.values()
+                if x.kind == "force"
+            }
         columns = with_sensor_noise(named, sensors, rng)
         for channel in CHANNELS.values():
             size, x = getattr(declared, channel.noise), columns[channel.column]
@@ -119,6 +144,12 @@ def noisy_records(
                 x += size / np.sqrt(3.0) * rng.standard_t(3.0, len(t))
             if noise == "drift" and channel.kind == "force":
                 x += WALK / np.sqrt(declared.sample_rate) * np.cumsum(rng.normal(size=len(t)))
+            if noise == "quantised":
+                x[:] = STEPS[channel.kind] * np.round(x / STEPS[channel.kind])
+            if (noise == "no_force" and channel.kind == "force") or (
+                noise == "camera_only" and channel.kind != "camera"
+            ):
+                x[:] = np.nan
         records.append(Record(trial, t, np.stack([columns[CHANNELS[c].column] for c in CHANNELS])))
     return records
 
