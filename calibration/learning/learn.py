@@ -63,12 +63,18 @@ class Dictionary:
         """Returns the problem with the `effects` of the outcome, and with all terms at their null.
 
         `scales` are the scales of the terms. If `effects` is only a part of the outcome's effects,
-        the model is fitted again. Without effects, the model is the loop's base model.
+        the model is fitted again. Without effects, the model is the loop's base model. The model
+        contains the other effects of the outcome at their nulls, so that all attempts to learn a
+        function use the same compiled programs.
         """
         assert isinstance(outcome.problem, TankProblem)
-        names = (*effects, *DICTIONARY)
+        names = (*outcome.effects, *DICTIONARY)
         entries = model_parameters(names)
-        known = {(p.effect, p.name): i for i, p in enumerate(outcome.entries)}
+        known = {
+            (p.effect, p.name): i
+            for i, p in enumerate(outcome.entries)
+            if not p.effect or p.effect in effects
+        }
         source = outcome.chosen if effects else outcome.search.base
         theta = base_vector(entries, base_values(outcome.experiment))
         swing, free = theta.copy(), []
@@ -105,6 +111,11 @@ class Dictionary:
                     low, high = x / FREQUENCY_RANGE, x * FREQUENCY_RANGE
                     entries[i] = p._replace(prior=p.prior._replace(low=low, high=high))
         return cls(outcome, list(effects), found, entries, start._replace(theta=theta))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All effects of the extended model, including effects at their nulls."""
+        return (*self.outcome.effects, *DICTIONARY)
 
     @property
     def replaced(self) -> list[str]:

@@ -152,7 +152,7 @@ def testing_trial(
     noise = {(problem.records[i].trial.file, c): x for (i, c), x in problem.noise.items()}
     prediction = TrialInformation(
         outcome.experiment,
-        (*known.effects, *DICTIONARY),
+        known.names,
         known.start.theta,
         known.start.free,
         SensorModel.of(outcome.experiment, problem.records, noise),
