@@ -1,7 +1,9 @@
 """Further effects that the library lacks. No term or rule was changed after they were simulated.
 
 The effects of `unknown_effects` were examined while the dictionary of terms was developed, so they
-are no independent test. These effects were written before their first simulation.
+are no independent test. These effects were written before their first simulation. Afterwards, two
+of them turned out to have laws of the library: `TornWall` is a relief valve (`relief_leak`), and
+`CreepingBeam` is a force sensor that warms up (`force_warm_up`).
 """
 
 import jax.numpy as jnp

@@ -50,7 +50,7 @@ NOISES = ("declared", "larger", "smaller", "heavy_tails", "drift")
 """Kinds of noise: as declared, 25 % more or less than declared, with the t-distribution of three
 degrees of freedom, and with a random walk of the forces."""
 SITUATIONS = ("quantised", "clock_skew", "no_force", "camera_only", "other_robot")
-"""Situations of a laboratory: coarse converters (`STEPS`), a clock of the force sensor that is fast
+"""Situations of a laboratory: coarse converters (`STEPS`), a clock of the force sensor that is slow
 by `SKEW`, no force sensor, only a camera, and another robot (`OTHER_ROBOT`)."""
 STEPS = {"pressure": 1000.0, "force": 0.01, "camera": 5e-4}
 """Quantisation steps [Pa, N, m] of the situation `quantised`, about one standard deviation of the

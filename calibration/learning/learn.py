@@ -36,7 +36,8 @@ from slider_jax.effects.library import DICTIONARY
 Progress = Callable[[str], None]
 
 FREQUENCY_RANGE = 1.2
-"""Largest ratio of a learned sine's frequency to the frequency of the peak in the residual."""
+"""Largest factor between a learned sine's frequency and the frequency of the peak in the residual.
+The peak is accurate to a fraction of a Fourier interval, so the fit needs no wider range."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class Dictionary:
         for i, p in enumerate(entries):
             if p.effect in DICTIONARY and p.is_shape:
                 lines = [frequencies[s] for s in DICTIONARY[p.effect].sensors if s in frequencies]
-                _, frequency = min(lines, default=(1.0, p.prior.null))
+                *_, frequency = min(lines, default=(1.0, 0.0, p.prior.null))
                 x = np.clip(scales.get(p.effect, frequency), p.prior.low, p.prior.high)
                 theta[i] = x
                 if p.name == "frequency":
@@ -153,12 +154,14 @@ class Dictionary:
 
 def _frequencies(
     outcome: LoopOutcome, problem: TankProblem, start: Fit
-) -> dict[str, tuple[float, float]]:
-    """Returns p-value and frequency [Hz] of the largest sine in the residual of each sensor.
+) -> dict[str, tuple[float, float, float]]:
+    """Returns the most significant sine in the residual of each sensor.
 
-    Without a significant sine, the p-value is 1, and the frequency is that of the largest peak.
+    The result contains the p-value, minus the share of the sum of squares, and the frequency [Hz].
+    Without a significant sine, the p-value is 1, the share is 0, and the frequency is that of the
+    largest peak.
     """
-    part, found = problem.part(outcome.used_trials), dict[str, tuple[float, float]]()
+    part, found = problem.part(outcome.used_trials), dict[str, tuple[float, float, float]]()
     left = tested_excess(part, start)
     floor = outcome.search.settings.noise_floor
     for x in locate_residuals(part.records, start.predicted, left, floor):
@@ -166,8 +169,8 @@ def _frequencies(
         sensor = "pressure" if CHANNELS[channel].kind == "pressure" else channel
         lines = [p for p in left[channel].patterns if p.has_line]
         if lines:
-            found[sensor] = min((p.line_p, p.frequency_Hz) for p in lines)
-        found.setdefault(sensor, (1.0, x["in_worst_trial"]["peak_Hz"]))
+            found[sensor] = min((p.line_p, -p.line, p.frequency_Hz) for p in lines)
+        found.setdefault(sensor, (1.0, 0.0, x["in_worst_trial"]["peak_Hz"]))
     return found
 
 
@@ -233,9 +236,10 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
     """Returns the result of learning, or None if the verdict requires no learned function.
 
     An added effect may only resemble the cause. The function is therefore learned without effects
-    first, then beside the effects that are no corrections, then beside all effects. The result is
+    first, then beside the effects that are not corrections, then beside all effects. The result is
     the first function that reaches the noise floor. Without such a function, the result is the
-    function with the smallest error, if this error is below the error of the loop's model.
+    function with the smallest error in the tested trials, if this error is below the error of the
+    loop's model.
     """
     if outcome.verdict not in (PARTLY, UNEXPLAINED):
         return None
@@ -267,7 +271,13 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
         for k, x in enumerate(attempts)
         if x.model is not None and x.model.growth.mean < 0.0
     ]
-    return attempts[min(better)[1]] if better else attempts[-1]
+    if better:
+        return attempts[min(better)[1]]
+    last = attempts[-1]
+    if last.model is not None:
+        last.model = None
+        last.reason = "the function does not lower the error below the error of the loop's model"
+    return last
 
 
 def _learned(found: Learning, known: Dictionary, progress: Progress) -> Learning:

@@ -145,6 +145,7 @@ def _runge_kutta(rate, p, a0, a1, span):
         slope = rate(p + share * span * slope, a0 + share * (a1 - a0))
         return (slope, total + weight * slope), None
 
-    stages = jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+    shares, weights = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+    stages = jnp.asarray(shares, p.dtype), jnp.asarray(weights, p.dtype)
     (_, mean), _ = jax.lax.scan(stage, (jnp.zeros_like(p), jnp.zeros_like(p)), stages)
     return p + span * mean

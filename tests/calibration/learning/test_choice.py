@@ -42,7 +42,9 @@ def choice(monkeypatch, growths, at_floor=(), corrections=CORRECTIONS):
         used_trials=list(range(8)),
         chosen=None,
     )
-    return learn_terms(outcome).number, attempts
+    found = learn_terms(outcome)
+    assert found.model is None or found.reaches_floor or found.model.growth.mean < 0.0
+    return found.number, attempts
 
 
 def test_a_function_at_the_noise_floor_replaces_all_effects(monkeypatch):
