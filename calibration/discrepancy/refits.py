@@ -45,12 +45,11 @@ def effect_tangents(
     found = [np.zeros((len(theta), *r.values.shape), np.float32) for r in problem.records]
     unit = np.eye(len(theta))
     channels = [row_of(c) for c in problem.channels]
-    along = problem.tangents(theta, unit[tangential])
+    along = list(problem.tangents(theta, unit[tangential]))
     failed = ~np.all([np.isfinite(x[:, channels]).all(axis=(1, 2)) for x in along], axis=0)
-    for x, tangents in zip(found, along, strict=True):
-        x[tangential] = tangents
+    for x in found:
+        x[tangential] = along.pop(0)  # frees the memory of a trial before the next one
         x[np.array(tangential)[failed]] = 0.0
-    del along  # frees memory, unless a cache has the tangents
     size = {i: entries[i].prior.start - entries[i].prior.null for i in finite}
     for _ in range(settings.max_halvings):
         if not size:
