@@ -228,7 +228,7 @@ class DampingOfTail(DampingTerm):
         return self.dampings(z)
 
 
-class PressureTerm(PartPowers, BendingMoment):
+class PressureMomentTerm(PartPowers, BendingMoment):
     """M is a function of the pressure of the chamber."""
 
     segments = ("body",)
@@ -250,7 +250,7 @@ class PressureTerm(PartPowers, BendingMoment):
         return self.cells(x) * self.total(self.basis(self.state(x))), memory
 
 
-class MomentOfPressure(PressureTerm):
+class MomentOfPressure(PressureMomentTerm):
     """M is an odd function of the pressure."""
 
     title = "bending moment that depends on the pressure"
@@ -261,7 +261,7 @@ class MomentOfPressure(PressureTerm):
         return MOMENT * q * jnp.abs(q), MOMENT * q**3, MOMENT * q**5
 
 
-class MomentOfPressureBySide(PressureTerm):
+class MomentOfPressureBySide(PressureMomentTerm):
     """M is an even function of the pressure, so the robot's sides differ."""
 
     title = "bending moment that depends on the pressure and differs between the sides"
