@@ -1,4 +1,4 @@
-"""Further effects that the library lacks. No term or rule was changed after they were simulated.
+"""Further effects that the library lacks. No term was changed after they were simulated.
 
 The effects of `unknown_effects` were examined while the dictionary of terms was developed, so they
 are no independent test. These effects were written before their first simulation. Afterwards, two

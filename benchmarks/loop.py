@@ -184,21 +184,23 @@ def _beyond(effect: str, parameter: str, seed: int) -> dict[str, float]:
     return shapes | {parameter: prior.null + BEYOND * (end - prior.null)}
 
 
+def _complete_models(kind: str, noises: Sequence[str], first: int, count: int) -> Iterator[Case]:
+    """Yields `count` cases without a missing effect for each of `noises`; `first` is a seed."""
+    for k in range(count):
+        for i, noise in enumerate(noises):
+            seed = first + i * count + k
+            yield Case(kind, f"{noise}_{seed}", seed, noise=noise)
+
+
 def cases(kind: str, out: Path) -> Iterator[Case]:
     """Yields the cases of a kind. Effects with a size outside the prior range are omitted."""
     if kind == "null":
         for i in range(NULL_TANKS):
             yield Case(kind, f"{FIRST_NULL + i}", FIRST_NULL + i, compared=i < COMPARED)
     if kind == "noise":
-        for k in range(NOISE_TANKS):
-            for i, noise in enumerate(NOISES[1:]):
-                seed = FIRST_NOISE + i * NOISE_TANKS + k
-                yield Case(kind, f"{noise}_{seed}", seed, noise=noise)
+        yield from _complete_models(kind, NOISES[1:], FIRST_NOISE, NOISE_TANKS)
     if kind == "situation":
-        for k in range(SITUATION_TANKS):
-            for i, noise in enumerate(SITUATIONS):
-                seed = FIRST_SITUATION + i * SITUATION_TANKS + k
-                yield Case(kind, f"{noise}_{seed}", seed, noise=noise)
+        yield from _complete_models(kind, SITUATIONS, FIRST_SITUATION, SITUATION_TANKS)
         for noise in SITUATIONS:
             for i, effect in enumerate(IN_SITUATIONS):
                 limit = limits_of(kind, i, out)[f"{effect}.{SINGLES[effect]}"]

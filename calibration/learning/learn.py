@@ -116,7 +116,7 @@ class Dictionary:
     @property
     def names(self) -> tuple[str, ...]:
         """All effects of the extended model, including effects at their nulls."""
-        return (*self.outcome.effects, *DICTIONARY)
+        return self.problem.coarse_plans[0].extended.effects
 
     @property
     def replaced(self) -> list[str]:

@@ -1,5 +1,6 @@
 """Functions that several effects share: smooth limits, powers, and delays, lags and resonances."""
 
+import math
 from typing import ClassVar
 
 import equinox as eqx
@@ -9,7 +10,7 @@ from jaxtyping import Array, Float
 
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import parameter
+from slider_jax.effects.base import Readings, parameter
 
 WHY_FACTOR = "20 times the unit of a term is more than any known law adds"
 LIMIT_EXPONENT = 32
@@ -169,3 +170,24 @@ class PartPowers(Powers):
     def cells(self, x: Section) -> Array:
         """Returns 1 in the cells of the part, and 0 in the other cells."""
         return x.in_tail if self.part == "tail" else 1.0 - x.in_tail
+
+
+class Sine(eqx.Module):
+    """a sin(2 pi f t) + b cos(2 pi f t), with the frequency f."""
+
+    a: eqx.AbstractVar[Scalar]
+    b: eqx.AbstractVar[Scalar]
+    frequency: eqx.AbstractVar[Scalar]
+
+    def state(self, x: Readings) -> Array:
+        """Returns the fraction of f t: 0 at the start of a period, 1 at its end."""
+        return jnp.mod(self.frequency * x.t, 1.0)
+
+    def basis(self, z: Array) -> tuple[Array, Array]:
+        """Returns the sine and the cosine at the phase z."""
+        return jnp.sin(2.0 * math.pi * z), jnp.cos(2.0 * math.pi * z)
+
+    def at(self, t: Array) -> Array:
+        """Returns the value at the times `t` [s]."""
+        sine, cosine = self.basis(self.frequency * t)
+        return self.a * sine + self.b * cosine

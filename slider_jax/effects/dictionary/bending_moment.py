@@ -16,12 +16,13 @@ The parameter of a term of the rate is the term's M/EI at the rate `RATE`."""
 CORNER = 0.1
 """Width of the smooth corner, as a fraction of `RATE` or of the scale of the curvature."""
 WHY = "the elastic moment divided by EI is 3 1/m at kappa = 3 1/m"
-OF_KAPPA = Curve("curvature kappa", "1/m", "moment M/EI", "1/m")
-OF_RATE = Curve("rate of curvature d(kappa)/dt", "1/(m s)", "moment M/EI", "1/m")
 
 
-class MomentTerm(BendingMoment):
-    """A moment M/EI that is a function of a local state z, with one factor for each part."""
+class RateTerm(BendingMoment):
+    """A moment that depends on the rate of curvature r, with one factor for each part.
+
+    r is in units of `RATE`.
+    """
 
     segments = ("body", "tail")
 
@@ -30,23 +31,36 @@ class MomentTerm(BendingMoment):
     tail: Scalar = parameter(0.0, -5.0, 5.0, "1/m", WHY)
     """Factor in the tail."""
 
-    @abstractmethod
     def state(self, x: Section) -> Array:
-        """Returns the state z in each cell."""
+        """Returns the rate of curvature in each cell."""
+        return x.kappa_t
 
     @abstractmethod
     def basis(self, z: Array) -> Array:
-        """Returns the function at the state z for a factor of 1."""
+        """Returns the function at the rate of curvature z for a factor of 1."""
+
+    def of_rate(self, x: Section) -> Array:
+        """Returns EI times the factor of the part times the function of the rate."""
+        factor = self.body + (self.tail - self.body) * x.in_tail
+        return x.EI * factor * self.basis(self.state(x))
+
+
+class MomentOfRateTerm(RateTerm):
+    """M/EI is a function of the rate of curvature."""
+
+    term_curve = Curve("rate of curvature d(kappa)/dt", "1/(m s)", "moment M/EI", "1/m")
 
     def moment(self, x, memory, dt):
-        factor = self.body + (self.tail - self.body) * x.in_tail
-        return x.EI * factor * self.basis(self.state(x)), memory
+        return self.of_rate(x), memory
+
+
+def size_of_rate(z: Array) -> Array:
+    """Returns |z| in units of `RATE` with a smooth corner; the result is 0 at z = 0."""
+    return magnitude(z / RATE, CORNER) - CORNER
 
 
 class CurvatureTerm(PartPowers, BendingMoment):
-    """M/EI is a function of the curvature kappa in one part of the robot."""
-
-    term_curve = OF_KAPPA
+    """A moment that depends on a function of the curvature kappa in one part of the robot."""
 
     scale: Scalar = shape_parameter(CURVATURE, 1e-2, 1e3, "1/m", "the curvatures of a soft robot")
     """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
@@ -60,11 +74,21 @@ class CurvatureTerm(PartPowers, BendingMoment):
     def basis(self, z: Array) -> Basis:
         """Returns the basis functions at the curvature z."""
 
+    def of_curvature(self, x: Section) -> Array:
+        """Returns EI times the function of the curvature in the part, and 0 elsewhere."""
+        return x.EI * self.cells(x) * self.total(self.basis(self.state(x)))
+
+
+class MomentOfCurvatureTerm(CurvatureTerm):
+    """M/EI is a function of the curvature."""
+
+    term_curve = Curve("curvature kappa", "1/m", "moment M/EI", "1/m")
+
     def moment(self, x, memory, dt):
-        return x.EI * self.cells(x) * self.total(self.basis(self.state(x))), memory
+        return self.of_curvature(x), memory
 
 
-class MomentOfBody(CurvatureTerm):
+class MomentOfBody(MomentOfCurvatureTerm):
     """M/EI is an odd function of the curvature kappa in the body."""
 
     title = "moment of the body that depends on the curvature"
@@ -74,7 +98,7 @@ class MomentOfBody(CurvatureTerm):
         return odd_powers(z / self.scale, self.scale)
 
 
-class MomentOfTail(CurvatureTerm):
+class MomentOfTail(MomentOfCurvatureTerm):
     """M/EI is an odd function of the curvature kappa in the tail."""
 
     title = "moment of the tail that depends on the curvature"
@@ -84,7 +108,7 @@ class MomentOfTail(CurvatureTerm):
         return odd_powers(z / self.scale, self.scale)
 
 
-class MomentOfBodyBySide(CurvatureTerm):
+class MomentOfBodyBySide(MomentOfCurvatureTerm):
     """M/EI is an even function of the curvature kappa in the body, so the robot's sides differ."""
 
     title = "moment of the body that depends on the curvature and differs between the sides"
@@ -94,7 +118,7 @@ class MomentOfBodyBySide(CurvatureTerm):
         return even_powers(z / self.scale, self.scale)
 
 
-class MomentOfTailBySide(CurvatureTerm):
+class MomentOfTailBySide(MomentOfCurvatureTerm):
     """M/EI is an even function of the curvature kappa in the tail, so the robot's sides differ."""
 
     title = "moment of the tail that depends on the curvature and differs between the sides"
@@ -104,95 +128,63 @@ class MomentOfTailBySide(CurvatureTerm):
         return even_powers(z / self.scale, self.scale)
 
 
-class MomentOfRate(MomentTerm):
+class MomentOfRate(MomentOfRateTerm):
     """M = EI a r, with the rate of curvature r in units of `RATE`."""
 
     title = "moment linear in the rate of curvature"
-    term_curve = OF_RATE
-
-    def state(self, x):
-        return x.kappa_t
 
     def basis(self, z):
         return z / RATE
 
 
-class MomentOfRateQuadratic(MomentTerm):
+class MomentOfRateQuadratic(MomentOfRateTerm):
     """M = EI a r |r|, with the rate of curvature r in units of `RATE`."""
 
     title = "moment quadratic in the rate of curvature"
-    term_curve = OF_RATE
-
-    def state(self, x):
-        return x.kappa_t
 
     def basis(self, z):
         return z * jnp.abs(z) / RATE**2
 
 
-class MomentOfRateSaturated(MomentTerm):
+class MomentOfRateSaturated(MomentOfRateTerm):
     """M = EI a r/(r^2 + w^2)^(1/2) with w = 0.1 and the rate r in units of `RATE`: dry friction."""
 
     title = "moment of dry friction"
-    term_curve = OF_RATE
-
-    def state(self, x):
-        return x.kappa_t
 
     def basis(self, z):
         return z / RATE / magnitude(z / RATE, CORNER)
 
 
-class MomentOfRateBySide(MomentTerm):
-    """M = EI a |r|, with the rate of curvature r in units of `RATE`."""
+class MomentOfRateBySide(MomentOfRateTerm):
+    """M = EI a |r|, with the factor a of the part and a smooth corner of |r|."""
 
     title = "moment of the rate of curvature that differs between the directions of bending"
-    term_curve = OF_RATE
-
-    def state(self, x):
-        return x.kappa_t
 
     def basis(self, z):
-        return magnitude(z / RATE, CORNER) - CORNER
+        return size_of_rate(z)
 
 
-class MomentOfStraightening(MomentTerm):
+class MomentOfStraightening(RateTerm):
     """M = EI a |r| sign(kappa): the damping differs while |kappa| grows and while it decreases.
 
-    r is the rate of curvature in units of `RATE`. The corners of |r| and of the sign are smooth.
+    a is the factor of the part. The corners of |r| and of the sign are smooth.
     """
 
     title = "damping that differs between bending and straightening"
-    term_curve = Curve("rate of curvature, at kappa > 0", "1/(m s)", "moment M/EI", "1/m")
-
-    def state(self, x):
-        return x.kappa_t
+    term_curve = Curve("rate of curvature, at large kappa > 0", "1/(m s)", "moment M/EI", "1/m")
 
     def basis(self, z):
-        return magnitude(z / RATE, CORNER) - CORNER
+        return size_of_rate(z)
 
     def moment(self, x, memory, dt):
-        moment, memory = super().moment(x, memory, dt)
         q = x.kappa / CURVATURE
-        return moment * q / magnitude(q, CORNER), memory
+        return self.of_rate(x) * q / magnitude(q, CORNER), memory
 
 
-class DampingTerm(PartPowers, BendingMoment):
+class DampingTerm(CurvatureTerm):
     """M = EI f(kappa) d(kappa)/dt in one part of the robot."""
 
     term_curve = Curve("curvature kappa", "1/m", "damping time", "s")
-
-    scale: Scalar = shape_parameter(CURVATURE, 1e-2, 1e3, "1/m", "the curvatures of a soft robot")
-    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
-    the visited |kappa|."""
-
-    def state(self, x: Section) -> Array:
-        """Returns the curvature in each cell."""
-        return x.kappa
-
-    @abstractmethod
-    def basis(self, z: Array) -> Basis:
-        """Returns the basis functions at the curvature z."""
 
     def dampings(self, z: Array) -> Basis:
         """Returns smooth functions of the curvature z: its sign, z and |z|.
@@ -204,8 +196,7 @@ class DampingTerm(PartPowers, BendingMoment):
         return factor * q / size, factor * q, factor * size
 
     def moment(self, x, memory, dt):
-        damping = x.EI * self.cells(x) * self.total(self.basis(self.state(x)))
-        return damping * x.kappa_t, memory
+        return self.of_curvature(x) * x.kappa_t, memory
 
 
 class DampingOfBody(DampingTerm):

@@ -1,6 +1,5 @@
 """Terms of the readings of each sensor."""
 
-import math
 from abc import abstractmethod
 from typing import ClassVar, NamedTuple
 
@@ -9,7 +8,7 @@ from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, Instrument, Readings, parameter, shape_parameter
-from slider_jax.effects.functions import Basis, Powers, even_powers, odd_powers
+from slider_jax.effects.functions import Basis, Powers, Sine, even_powers, odd_powers
 
 WHY = "a sensor with an error as large as its scale is broken"
 OF_TIME = Curve("time t", "s", "change divided by the scale", "-")
@@ -117,10 +116,8 @@ class SensorEvenPowers(SensorPowers):
         return even_powers(z / self.scale)
 
 
-class SensorDrift(SensorTerm):
-    """f = a t + b t^2, with the time t of the trial."""
-
-    term_curve = OF_TIME
+class TimeTerm(SensorTerm):
+    """f depends on a t + b t^2, with the time t of the trial."""
 
     a: Scalar = parameter(0.0, -1.0, 1.0, "1/s", WHY)
     """a, drift."""
@@ -135,21 +132,31 @@ class SensorDrift(SensorTerm):
         """Returns the basis functions at the time z."""
         return z, z**2
 
+    def drift(self, t: Array) -> Array:
+        """Returns a t + b t^2."""
+        first, second = self.basis(t)
+        return self.a * first + self.b * second
+
+
+class SensorDrift(TimeTerm):
+    """f = a t + b t^2."""
+
+    term_curve = OF_TIME
+
     def change(self, z, t):
-        a, b = self.basis(t)
-        return self.a * a + self.b * b
+        return self.drift(t)
 
 
-class SensorGainDrift(SensorDrift):
-    """f = (a t + b t^2) y/s, with the time t of the trial and the reading y."""
+class SensorGainDrift(TimeTerm):
+    """f = (a t + b t^2) y/s, with the reading y."""
 
     term_curve = OF_GAIN
 
     def change(self, z, t):
-        return z * super().change(z, t)
+        return z * self.drift(t)
 
 
-class SensorSine(SensorTerm):
+class SensorSine(Sine, SensorTerm):
     """y_read = y + s (a sin(2 pi f t) + b cos(2 pi f t)), with the frequency f."""
 
     term_curve = OF_PHASE
@@ -159,19 +166,10 @@ class SensorSine(SensorTerm):
     b: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
     """b, amplitude of the cosine."""
     frequency: Scalar = shape_parameter(10.0, 0.1, 500.0, "Hz", "usual sample rates resolve these")
-    """f, frequency of the largest sine in the residual."""
-
-    def state(self, x: Readings) -> Array:
-        """Returns the fraction of f t: 0 at the start of a period, 1 at its end."""
-        return jnp.mod(self.frequency * x.t, 1.0)
-
-    def basis(self, z: Array) -> tuple[Array, Array]:
-        """Returns the basis functions at the phase z."""
-        return jnp.sin(2.0 * math.pi * z), jnp.cos(2.0 * math.pi * z)
+    """f, frequency of the most significant sine in the residual."""
 
     def change(self, z, t):
-        a, b = self.basis(self.frequency * t)
-        return self.a * a + self.b * b
+        return self.at(t)
 
 
 class PressureReadingPowers(OfPressure, SensorOddPowers):
