@@ -23,7 +23,8 @@ from calibration.measurements.synthetic import (
     with_sensor_noise,
 )
 from calibration.model.extended import base_vector, model_parameters
-from calibration.model.predict import Resolution, plan_trial, predict_each
+from calibration.model.plan import Resolution, plan_trial
+from calibration.model.predict import predict_each
 from slider_jax.channels import CHANNELS
 from slider_jax.experiment.load import Experiment, assemble
 

@@ -34,7 +34,7 @@ import numpy as np
 import slider_jax as sj
 from calibration.identification.identify import identify_parameters, parameter_table
 from calibration.inference.uncertainty import confidence_interval, correlations, determined
-from calibration.model.predict import Resolution
+from calibration.model.plan import Resolution
 from slider_jax.channels import row_of
 from slider_jax.experiment import load as experiments
 

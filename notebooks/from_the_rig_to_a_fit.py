@@ -35,7 +35,7 @@ import numpy as np
 import slider_jax as sj
 from calibration.identification.identify import identify_parameters, parameter_table
 from calibration.inference.uncertainty import confidence_interval
-from calibration.model.predict import Resolution
+from calibration.model.plan import Resolution
 from rig.cli.settings import load_rig
 from rig.cli.shared import load_trials, open_rig, with_force_counts
 from rig.recording.clock import fit_clock

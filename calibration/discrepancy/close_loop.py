@@ -35,6 +35,7 @@ from calibration.inference.uncertainty import (
     widen_by_correlation,
 )
 from calibration.measurements.records import Finding, Record
+from calibration.model.compiled import background_thread
 from calibration.model.extended import (
     BASE,
     Parameter,
@@ -43,7 +44,7 @@ from calibration.model.extended import (
     candidate_effects,
     model_parameters,
 )
-from calibration.model.predict import COARSE, FINE, Resolution, background_thread
+from calibration.model.plan import COARSE, FINE, Resolution
 from slider_jax.experiment.load import Experiment
 
 

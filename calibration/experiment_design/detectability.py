@@ -35,7 +35,7 @@ from calibration.experiment_design.information import (
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import inverse, marginal_information
 from calibration.model.extended import Parameter, candidate_effects
-from calibration.model.predict import COARSE, Resolution
+from calibration.model.plan import COARSE, Resolution
 from slider_jax.experiment.load import Experiment
 from slider_jax.simulation.effect_signature import typical_size
 

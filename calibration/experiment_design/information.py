@@ -19,18 +19,12 @@ from calibration.inference.cache import Memo, cached
 from calibration.inference.gauss_newton import difference_step, takes_differences
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.measurements.records import Record, load_records
+from calibration.model.compiled import on_all_cores
 from calibration.model.extended import BASE, Parameter, base_vector, model_parameters
 from calibration.model.initial_swing import declared_swing_spans
-from calibration.model.predict import (
-    COARSE,
-    Resolution,
-    TrialPlan,
-    on_all_cores,
-    plan_trial,
-    predict_each,
-    predict_readings,
-    reading_tangents,
-)
+from calibration.model.plan import COARSE, Resolution, TrialPlan, plan_trial
+from calibration.model.predict import predict_each, predict_readings
+from calibration.model.tangents import reading_tangents
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import Experiment

@@ -20,8 +20,9 @@ from calibration.inference.uncertainty import (
     discretisation_share,
     value_by_variation,
 )
+from calibration.model.compiled import on_all_cores
 from calibration.model.extended import Parameter
-from calibration.model.predict import COARSE, Resolution, on_all_cores
+from calibration.model.plan import COARSE, Resolution
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial

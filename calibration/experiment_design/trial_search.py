@@ -16,7 +16,7 @@ from calibration.experiment_design.information import (
     TrialInformation,
     information,
 )
-from calibration.model.predict import on_all_cores
+from calibration.model.compiled import on_all_cores
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial

@@ -20,7 +20,7 @@ from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import correlations, hausman_check
 from calibration.measurements.records import Finding, Record
 from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
-from calibration.model.predict import COARSE, FINE, Resolution
+from calibration.model.plan import COARSE, FINE, Resolution
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
 from slider_jax.channels import BUILT_IN, CHANNELS
 from slider_jax.effects.library import LIBRARY

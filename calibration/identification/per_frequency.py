@@ -44,7 +44,7 @@ from calibration.inference.uncertainty import (
     value_by_variation,
 )
 from calibration.model.extended import Parameter
-from calibration.model.predict import COARSE, Resolution
+from calibration.model.plan import COARSE, Resolution
 from slider_jax.errors import InputError, refuse_unknown
 from slider_jax.experiment.load import Experiment
 

@@ -44,6 +44,9 @@ change by at most 1 %."""
 EVEN_TOLERANCE = 1e-3 * DISCREPANCY_TIME
 """Sample times count as evenly spaced if each differs from even spacing by less than this [s]. The
 covariance is then computed from one row."""
+SCALE_STEP = 0.01
+"""The discrepancy's standard deviation is rounded to values whose ratio is 1 + `SCALE_STEP`. Its
+own error is about ten times as large."""
 SETTLED = 1e-9
 """The covariance of the state counts as constant if its change is below this fraction of the prior
 covariance."""
@@ -129,32 +132,18 @@ def _block_length(n: int) -> int:
     return max(n, 1) if n <= WHOLE else BLOCK
 
 
-class Whitener:
-    """Transforms series of one trial and channel to independent samples of unit variance.
+class StationaryWhitener:
+    """Whitens white noise, slow noise and discrepancy, with the covariance S.
 
-    `t` (n,) [s] are the sample times. `model` (n,) are the predicted readings, which scale the
-    parts of the noise that are proportional to the signal. If `frequency` [Hz] is given, the
-    model-discretisation discrepancy is correlated between strides. Tare, gain and `spans` (k, n)
-    are marginalised. Each span is a series that is multiplied by an unknown random factor of unit
-    variance.
+    `t` (n,) [s] are the sample times, and `scale` is the standard deviation of the discrepancy. If
+    `frequency` [Hz] is given, the model-discretisation discrepancy is correlated between strides.
 
-    The covariance is S + U^T U. The rows of U are tare, gain and spans. S is the covariance of
-    white noise, slow noise and discrepancy. A Kalman filter whitens the noise S by blocks of
-    samples. The covariance within a block is exact, and the state `_Modes` links the blocks. The
-    result is multiplied by (I + V^T V)^(-1/2), and the rows of V are the whitened rows of U. Time
-    and memory are proportional to n. Source: Solin, A. and Särkkä, S. (2014), PMLR 33, 904-912, for
-    the state of a periodic correlation.
+    A Kalman filter whitens the series by blocks of samples. The covariance within a block is exact,
+    and the state `_Modes` links the blocks. Time and memory are proportional to n. Source: Solin,
+    A. and Särkkä, S. (2014), PMLR 33, 904-912, for the state of a periodic correlation.
     """
 
-    def __init__(
-        self,
-        t: np.ndarray,
-        noise: Noise,
-        model: np.ndarray,
-        frequency: float | None = None,
-        spans: np.ndarray | None = None,
-    ):
-        scale = noise.discrepancy * (float(np.std(model)) if len(model) > 1 else 0.0)
+    def __init__(self, t: np.ndarray, noise: Noise, scale: float, frequency: float | None):
         variance = np.broadcast_to(np.square(noise.white), t.shape)
         # Without white noise, rounding errors could make the covariance of a block indefinite.
         self._white = np.maximum(variance, 1e-12 * (noise.slow**2 + scale**2))
@@ -165,19 +154,16 @@ class Whitener:
         repeated = (i for i in numbers[:-1] if _same(self._pattern(i), self._pattern(i + 1)))
         self._regular = self._matrices(self._pattern(next(repeated, 0)))
         self._gains = self._filter()
-        unknown = [noise.tare * np.ones_like(t), noise.gain * model]
-        rows = np.stack(unknown if spans is None else [*unknown, *spans])
-        _, size, self._low = np.linalg.svd(self._stationary(rows), full_matrices=False)
-        self._shrink = 1.0 / np.sqrt(1.0 + size**2) - 1.0
 
-    def __call__(self, series: np.ndarray) -> np.ndarray:
-        """Returns the whitened series (k, n) of `series` (k, n). NaN and inf raise no error."""
-        white = self._stationary(np.atleast_2d(series))
-        along = (white @ self._low.T) * self._shrink
-        for first in range(0, white.shape[1], BLOCK):
-            here = slice(first, first + BLOCK)
-            white[:, here] += along @ self._low[:, here]
-        return white
+    def serves(self, t: np.ndarray, noise: Noise, scale: float, frequency: float | None) -> bool:
+        """Returns whether a new whitener with these arguments would be equal."""
+        own = self._noise
+        return (
+            (scale, frequency, noise.slow, noise.slow_time)
+            == (self._scale, self._frequency, own.slow, own.slow_time)
+            and np.array_equal(noise.white, own.white)
+            and np.array_equal(t, self._t)
+        )
 
     def _pattern(self, number: int) -> "_Pattern":
         """Returns the sample times and noise of a block."""
@@ -233,8 +219,8 @@ class Whitener:
             state = after
         return gains
 
-    def _stationary(self, series: np.ndarray) -> np.ndarray:
-        """Returns `series` (k, n), whitened for noise with the covariance S."""
+    def __call__(self, series: np.ndarray) -> np.ndarray:
+        """Returns the whitened series (k, n) of `series` (k, n). NaN and inf raise no error."""
         white = np.empty(series.shape)
         state = np.zeros((len(self._modes.rate), len(series)))
         for number, gain in enumerate(self._gains):
@@ -246,6 +232,61 @@ class Whitener:
             step = gain.basis @ (gain.keep * along)
             state = b.turn @ (state + step) + b.link.T @ (new - b.seen @ step)
         return white
+
+
+class Whitener:
+    """Transforms series of one trial and channel to independent samples of unit variance.
+
+    `t` (n,) [s] are the sample times. `model` (n,) are the predicted readings, which scale the
+    parts of the noise that are proportional to the signal. If `frequency` [Hz] is given, the
+    model-discretisation discrepancy is correlated between strides. Tare, gain and `spans` (k, n)
+    are marginalised. Each span is a series that is multiplied by an unknown random factor of unit
+    variance. `stationary` is a whitener for the other parts of the noise (default: a new one).
+
+    The covariance is S + U^T U. The rows of U are tare, gain and spans. S is the covariance of
+    white noise, slow noise and discrepancy. The result of `StationaryWhitener` is multiplied by
+    (I + V^T V)^(-1/2), and the rows of V are the whitened rows of U.
+    """
+
+    def __init__(
+        self,
+        t: np.ndarray,
+        noise: Noise,
+        model: np.ndarray,
+        frequency: float | None = None,
+        spans: np.ndarray | None = None,
+        stationary: StationaryWhitener | None = None,
+    ):
+        if stationary is None:
+            scale = discrepancy_scale(noise, model)
+            stationary = StationaryWhitener(t, noise, scale, frequency)
+        self._stationary = stationary
+        unknown = [noise.tare * np.ones_like(t), noise.gain * model]
+        rows = np.stack(unknown if spans is None else [*unknown, *spans])
+        _, size, self._low = np.linalg.svd(stationary(rows), full_matrices=False)
+        self._shrink = 1.0 / np.sqrt(1.0 + size**2) - 1.0
+
+    def __call__(self, series: np.ndarray) -> np.ndarray:
+        """Returns the whitened series (k, n) of `series` (k, n). NaN and inf raise no error."""
+        white = self._stationary(np.atleast_2d(series))
+        along = (white @ self._low.T) * self._shrink
+        for first in range(0, white.shape[1], BLOCK):
+            here = slice(first, first + BLOCK)
+            white[:, here] += along @ self._low[:, here]
+        return white
+
+
+def discrepancy_scale(noise: Noise, model: np.ndarray) -> float:
+    """Returns the discrepancy's standard deviation for the predicted readings `model` (n,)."""
+    return noise.discrepancy * (float(np.std(model)) if len(model) > 1 else 0.0)
+
+
+def rounded_scale(scale: float) -> float:
+    """Returns a `scale` that is rounded to one of few values, at most `SCALE_STEP`/2 away.
+
+    Predictions that differ little then share a `StationaryWhitener`.
+    """
+    return float(np.exp(SCALE_STEP * np.round(np.log(scale) / SCALE_STEP))) if scale else 0.0
 
 
 class _Modes(NamedTuple):

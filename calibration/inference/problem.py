@@ -18,22 +18,22 @@ import numpy as np
 
 from calibration.inference.cache import Memo, cached
 from calibration.inference.measured_noise import ChannelNoise
-from calibration.inference.noise import Noise, Whitener, channel_noise, declared_shares
+from calibration.inference.noise import (
+    Noise,
+    StationaryWhitener,
+    Whitener,
+    channel_noise,
+    declared_shares,
+    discrepancy_scale,
+    rounded_scale,
+)
 from calibration.measurements.records import Record
+from calibration.model.compiled import on_all_cores
 from calibration.model.extended import acting_entries, base_values, base_vector, model_parameters
 from calibration.model.initial_swing import swing_spans
-from calibration.model.predict import (
-    COARSE,
-    FINE,
-    Resolution,
-    TrialPlan,
-    compile_readings,
-    compile_tangents,
-    on_all_cores,
-    plan_trial,
-    predict_each,
-    reading_tangents,
-)
+from calibration.model.plan import COARSE, FINE, Resolution, TrialPlan, plan_trial
+from calibration.model.predict import compile_readings, predict_each
+from calibration.model.tangents import compile_tangents, reading_tangents
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.prepare import prepare
@@ -106,6 +106,10 @@ class AbstractProblem(ABC):
     """Cache of simulated readings."""
     declared: Mapping[str, float] = field(default_factory=dict)
     """Declared model-discretisation discrepancies, as fractions of the channel's rms."""
+    _stationary: dict[tuple[str, str], StationaryWhitener] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+    """The last whitener of each trial and channel; problems that `replace` makes share them."""
 
     @property
     def discrepancies(self) -> dict[str, float]:
@@ -180,7 +184,14 @@ class AbstractProblem(ABC):
             row = row_of(channel)
             model = np.nan_to_num(predicted[i][row][there])
             swings = None if swing is None else swing[i][:, row, there]
-            return key, Whitener(r.t[there], self.noise[key], model, r.trial.frequency, swings)
+            noise, t, frequency = self.noise[key], r.t[there], r.trial.frequency
+            scale = rounded_scale(discrepancy_scale(noise, model))
+            name = r.trial.file, channel
+            stationary = self._stationary.get(name)
+            if stationary is None or not stationary.serves(t, noise, scale, frequency):
+                stationary = StationaryWhitener(t, noise, scale, frequency)
+                self._stationary[name] = stationary
+            return key, Whitener(t, noise, model, frequency, swings, stationary)
 
         return dict(on_all_cores(one, list(self.noise)))
 
@@ -319,6 +330,7 @@ class TankProblem(AbstractProblem):
         return [
             lambda: compile_readings(fine, theta),
             lambda: compile_tangents(coarse, theta, np.eye(len(theta))[acting]),
+            lambda: compile_readings(coarse, theta),
         ]
 
     def spans(self) -> list[np.ndarray] | None:

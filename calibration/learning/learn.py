@@ -29,7 +29,7 @@ from calibration.learning.pursuit import (
 )
 from calibration.learning.states import largest_states
 from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
-from calibration.model.predict import TrialPlan
+from calibration.model.plan import TrialPlan
 from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import DICTIONARY
 

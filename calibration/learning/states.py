@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import TankProblem
-from calibration.model.predict import BLOCK, TrialPlan
+from calibration.model.plan import BLOCK, TrialPlan
 from slider_jax.beam.equations import Section
 from slider_jax.channels import BUILT_IN, row_of
 from slider_jax.dynamics.model import Model

@@ -4,18 +4,29 @@ One compiled program can fit every candidate, because an effect at its null has 
 tangent for a parameter is one Jacobian-vector product (JVP) along the entry of this parameter.
 """
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import fields, replace
+from enum import Enum
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.actuation import FirstOrderLag
 from slider_jax.channels import CHANNELS, Channel
 from slider_jax.dynamics.model import Model
-from slider_jax.effects import Effect, NormalDrag, Prior, ReactiveForce
+from slider_jax.effects import (
+    ActingPressure,
+    Command,
+    Effect,
+    Flow,
+    Instrument,
+    NormalDrag,
+    Prior,
+    ReactiveForce,
+)
 from slider_jax.effects.library import KNOWN_EFFECTS, LIBRARY
 from slider_jax.experiment.load import Experiment, drag_and_added_mass
 
@@ -126,3 +137,76 @@ def base_values(experiment: Experiment) -> dict[str, float]:
     C_d, m_a = np.mean([drag_and_added_mass(experiment, t) for t in experiment.trials], axis=0)
     fixed = {"C_d": float(C_d), "m_a": float(m_a)}
     return {n: fixed[n] if n in fixed else getattr(experiment.parameters, n) for n in BASE}
+
+
+class Part(Enum):
+    """Parts of a model that are simulated one after the other."""
+
+    PRESSURES = "pressures"
+    BODY = "robot and water"
+    SENSORS = "sensors"
+
+    @classmethod
+    def of_kind(cls, kind: type[Effect]) -> "Part":
+        """Returns the part in which effects of a class act."""
+        if issubclass(kind, Command | Flow | ActingPressure):
+            return cls.PRESSURES
+        return cls.SENSORS if issubclass(kind, Instrument) else cls.BODY
+
+
+class PartialModel(NamedTuple):
+    """An extended model with the effects of one part."""
+
+    extended: ExtendedModel
+    theta: np.ndarray
+    """Parameters of the base model and of these effects."""
+    entries: np.ndarray
+    """Indices of `theta` in the parameter vector of the model with all effects."""
+
+    @property
+    def model(self) -> Model:
+        return self.extended.at(jnp.asarray(self.theta))
+
+    @property
+    def has_effects(self) -> bool:
+        """Returns whether effects of the library, or of the experiment file, act in this part."""
+        drag_and_reactive_force = 2
+        return bool(self.extended.effects) or (
+            len(self.extended.base.effects) > drag_and_reactive_force
+        )
+
+    @property
+    def key(self) -> Hashable:
+        """Returns the effects, and all parameters that can change the pressures."""
+        own = [list(BASE).index("k"), *range(len(BASE), len(self.theta))]
+        return self.extended.effects, self.theta[own].tobytes()
+
+
+def acting_part(
+    extended: ExtendedModel, part: Part, theta: np.ndarray, directions: np.ndarray | None = None
+) -> PartialModel:
+    """Returns the model with the effects of a part; without effects if all are at their null.
+
+    The effects stay if one of the `directions` (k, entries) changes a parameter of an effect. The
+    readings are those of the model with all effects. A program without effects takes about half the
+    time of one with all effects.
+    """
+    whole = whole_part(extended, part, theta)
+    own = whole.entries[len(BASE) :]
+    entries = model_parameters(extended.effects)
+    acts = any(theta[i] != entries[i].prior.null and not entries[i].is_shape for i in own)
+    if acts or (directions is not None and directions[:, own].any()):
+        return whole
+    few = whole.entries[: len(BASE)]
+    return PartialModel(replace(whole.extended, effects=()), theta[few], few)
+
+
+def whole_part(extended: ExtendedModel, part: Part, theta: np.ndarray) -> PartialModel:
+    """Returns the model with all effects of a part, and without the effects of the other parts."""
+    names = tuple(n for n in extended.effects if Part.of_kind(KNOWN_EFFECTS[n]) is part)
+    effects = [p.effect for p in model_parameters(extended.effects)]
+    entries = np.flatnonzero([not name or name in names for name in effects])
+    drag, reactive, *rest = extended.base.effects
+    own = (drag, reactive, *(x for x in rest if Part.of_kind(type(x)) is part))
+    base = replace(extended.base, effects=own)
+    return PartialModel(replace(extended, base=base, effects=names), theta[entries], entries)

@@ -14,7 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from calibration.model.predict import DIRECTIONS, TrialPlan, initial_state_tangents
+from calibration.model.compiled import DIRECTIONS
+from calibration.model.extended import Part, acting_part
+from calibration.model.plan import TrialPlan
+from calibration.model.tangents import initial_state_tangents
 from slider_jax.beam.parameters import Numerics
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.dynamics.model import Model, make_mesh
@@ -84,7 +87,8 @@ def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
     standard deviation of the tip's position [m]. A value that is not finite, for example after a
     failed time step, becomes 0.
     """
-    d_carry, frequency = _along(p.extended.at(jnp.asarray(theta)), p.numerics)
+    body = acting_part(p.extended, Part.BODY, theta)
+    d_carry, frequency = _along(body.model, p.numerics)
     initial = np.zeros((DIRECTIONS, len(CHANNELS)))
     initial[0, row_of("tip")] = 1.0
     changes = initial_state_tangents(p, theta, d_carry, initial)[:2]

@@ -17,8 +17,9 @@ from jaxtyping import Array, Float
 from calibration.inference.noise import channel_noise
 from calibration.inference.problem import AbstractProblem
 from calibration.measurements.records import Record
+from calibration.model.compiled import by_directions
 from calibration.model.extended import ExtendedModel, candidate_effects, model_parameters
-from calibration.model.predict import by_directions, recorded_pressures
+from calibration.model.predict import recorded_pressures
 from calibration.pressure_logs.read import ManifoldLog
 from slider_jax.actuation import Recorded
 from slider_jax.beam.parameters import Robot

@@ -63,7 +63,7 @@ MIN_EXCITATION = 10.0
 class TwinSettings:
     """Settings of a twin.
 
-    The calibration's mesh (`calibration.model.predict.FINE`) is too slow for real time. The learned
+    The calibration's mesh (`calibration.model.plan.FINE`) is too slow for real time. The learned
     bands include the error of the coarser mesh, but not its error after an irregular change of the
     set pressure. For a tip amplitude of 60 mm, the error of the tip after such a change is 0.02 mm
     with these settings, and 0.2 mm for 1 s with 31 nodes and time steps of two readings.

@@ -9,7 +9,8 @@ from calibration.audit.pressures import check_pressures
 from calibration.inference.noise import channel_noise
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record, load_records
-from calibration.model.predict import Resolution, plan_trial, predict_readings
+from calibration.model.plan import Resolution, plan_trial
+from calibration.model.predict import predict_readings
 from slider_jax.channels import BUILT_IN, CHANNELS, channel_columns, register, row_of
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load

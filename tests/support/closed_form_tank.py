@@ -9,7 +9,7 @@ from calibration.inference import problem
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.measurements.synthetic import ROBOT, START
-from calibration.model.predict import Resolution
+from calibration.model.plan import Resolution
 from slider_jax.channels import CHANNELS
 from slider_jax.experiment.load import assemble
 from slider_jax.experiment.prepare import prepare

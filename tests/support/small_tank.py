@@ -2,7 +2,7 @@
 
 from calibration.discrepancy.close_loop import close_loop_on_trials
 from calibration.measurements.synthetic import Truth, random_trials, write_tank
-from calibration.model.predict import Resolution
+from calibration.model.plan import Resolution
 from slider_jax.experiment.load import load
 
 CANDIDATES = ("valve_delay", "clamp_compliance", "force_gain")

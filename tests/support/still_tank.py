@@ -1,6 +1,6 @@
 """An experiment in still water with candidate effects and the limits of the next trial."""
 
-from calibration.model.predict import Resolution
+from calibration.model.plan import Resolution
 
 EFFECTS = ("regulator_gain", "actuator_saturation", "actuator_quadratic", "carried_mass",
            "surge_compliance", "axial_added_mass", "pressure_gain", "force_gain")  # fmt: skip

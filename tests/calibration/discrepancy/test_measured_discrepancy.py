@@ -14,7 +14,7 @@ from calibration.discrepancy.report import loop_record
 from calibration.discrepancy.selection import select_effects
 from calibration.inference.problem import TankProblem
 from calibration.model.extended import BASE, base_values, base_vector, model_parameters
-from calibration.model.predict import Resolution
+from calibration.model.plan import Resolution
 from slider_jax.channels import CHANNELS, row_of
 from tests.support import closed_form_tank as tank
 

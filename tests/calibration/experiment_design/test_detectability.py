@@ -26,7 +26,9 @@ from calibration.inference.noise import Whitener
 from calibration.inference.problem import ChannelBlock, TankProblem
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, candidate_effects
-from calibration.model.predict import Resolution, predict_readings, reading_tangents
+from calibration.model.plan import Resolution
+from calibration.model.predict import predict_readings
+from calibration.model.tangents import reading_tangents
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.cli.main import COMMANDS, find, main
 from slider_jax.errors import InputError

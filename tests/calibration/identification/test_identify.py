@@ -11,7 +11,7 @@ from calibration.identification import identify
 from calibration.inference.goodness import Excess
 from calibration.inference.problem import TankProblem
 from calibration.measurements.synthetic import Truth, random_trials, write_tank
-from calibration.model.predict import Resolution
+from calibration.model.plan import Resolution
 from slider_jax.cli.main import main
 from tests.support import closed_form_tank
 

@@ -16,7 +16,7 @@ from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import BASE_DISCREPANCY
 from calibration.measurements.synthetic import ROBOT, START, Truth, random_trials, write_tank
 from calibration.model.extended import base_vector, model_parameters
-from calibration.model.predict import Resolution
+from calibration.model.plan import Resolution
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import drag_and_added_mass, load

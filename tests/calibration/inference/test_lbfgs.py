@@ -12,7 +12,7 @@ from calibration.inference.problem import TankProblem
 from calibration.measurements.records import load_records
 from calibration.measurements.synthetic import START, Truth, random_trials, write_tank
 from calibration.model.extended import base_vector, model_parameters
-from calibration.model.predict import Resolution
+from calibration.model.plan import Resolution
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from tests.support import closed_form_tank as closed

@@ -11,7 +11,8 @@ from calibration.inference.noise import DISCREPANCY_TIME, Noise, channel_noise
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.measurements.records import Record, load_records
 from calibration.model.extended import base_values, base_vector, model_parameters
-from calibration.model.predict import Resolution, plan_trial, predict_each
+from calibration.model.plan import Resolution, plan_trial
+from calibration.model.predict import predict_each
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import SensorsTable, Trial

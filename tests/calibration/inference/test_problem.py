@@ -7,7 +7,7 @@ from calibration.inference import problem
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import TankProblem, normal_equations
 from calibration.measurements.records import Record
-from calibration.model.predict import Resolution
+from calibration.model.plan import Resolution
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.experiment.load import load
 from tests.support import closed_form_tank as tank

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calibration.model.extended import acting_entries, base_vector, model_parameters
-from calibration.model.predict import Resolution, plan_trial
+from calibration.model.plan import Resolution, plan_trial
 from slider_jax.effects.library import LIBRARY
 from slider_jax.experiment.load import load
 from tests.support.data import ROOT

@@ -9,7 +9,8 @@ from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.model.initial_swing import first_mode, swing_spans
-from calibration.model.predict import Resolution, plan_trial, predict_readings
+from calibration.model.plan import Resolution, plan_trial
+from calibration.model.predict import predict_readings
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import at_rest, with_motion
 from slider_jax.experiment.load import load

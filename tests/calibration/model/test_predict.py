@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
-from calibration.model.extended import BASE, base_values, base_vector, model_parameters
-from calibration.model.predict import (
-    Resolution,
-    _simulate,
-    plan_trial,
-    predict_readings,
-    without_null_effects,
-)
+from calibration.model.compiled import in_batches
+from calibration.model.extended import Part, acting_part, base_values, base_vector, model_parameters
+from calibration.model.plan import Resolution, plan_trial
+from calibration.model.predict import predict_each, predict_readings, pressure_histories
+from slider_jax.channels import recorded_series, row_of
+from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.experiment import load as experiment
+from slider_jax.simulation.trial import SavedSeries
 from tests.support.data import ROOT
 
 K, AMPLITUDE, SPACING = 0.075, 2e5, 2e-3
@@ -29,19 +28,79 @@ def test_the_first_sample_may_be_between_steps(begin):
     np.testing.assert_allclose(front, AMPLITUDE * (1.0 - np.exp(-at / K)), atol=1e-6)
 
 
-def test_the_base_model_gives_the_readings_of_effects_at_their_nulls():
-    """Effects that change no reading are left out of the simulation, but not acting effects."""
+def test_each_part_of_the_model_has_only_its_own_effects():
+    """The parts together give the readings of a simulation with all effects at once."""
     given = experiment.load(ROOT / "docs" / "experiment.toml")
-    names = ("clamp_compliance", "leakage", "force_crosstalk")
-    at = SPACING * np.arange(100)
+    names = ("clamp_compliance", "leakage", "force_crosstalk", "line_lag")
+    changes = {"trials.0.frequency": 2.0, "trials.0.amplitude": AMPLITUDE, "trials.0.duration": 0.2}
+    given = given.with_values(changes)
+    at = 5e-3 * np.arange(40)
     p = plan_trial(given, given.trials[0], names, Resolution(11, 40, 5e-3), at)
+    assert p.grid.h == pytest.approx(5e-3)
     entries = model_parameters(names)
-    base = base_vector(entries, base_values(given))
-    small, theta = without_null_effects(p, base)
-    assert small.extended.effects == () and len(theta) == len(BASE)
-    with_all = _simulate([(p, base)])[0]
-    np.testing.assert_allclose(predict_readings(p, base), with_all, rtol=1e-12, atol=1e-15)
-    acting = base.copy()
-    acting[[x.effect for x in entries].index("leakage")] = 0.5
-    assert without_null_effects(p, acting)[0] is p
-    assert np.abs(predict_readings(p, acting) - with_all)[0].max() > 100.0
+    theta = base_vector(entries, base_values(given))
+    assert not any(acting_part(p.extended, part, theta).extended.effects for part in Part)
+    for name in ("clamp_compliance", "leakage", "force_crosstalk"):
+        i = [x.effect for x in entries].index(name)
+        theta[i] += 0.3 * (entries[i].prior.high - theta[i])
+    parts = {part: acting_part(p.extended, part, theta).extended.effects for part in Part}
+    assert parts == {
+        Part.PRESSURES: ("leakage", "line_lag"),
+        Part.BODY: ("clamp_compliance",),
+        Part.SENSORS: ("force_crosstalk",),
+    }
+    model = p.extended.at(theta)
+    saved = SavedSeries(p.extended.channels)
+    run = rollout(model, TimeGrid(p.grid.h, p.grid.steps), saved, p.numerics, p.scheme)
+    true = {name: np.pad(x, (1, 0)) for name, x in run.saved.items()}
+    recorded = recorded_series(model.effects, p.grid.times, true)
+    found = predict_readings(p, theta)
+    for name, expected in recorded.items():
+        row = found[row_of(name)]
+        # The pressures have other Runge-Kutta steps here than in the rollout.
+        atol = 1e-7 * np.abs(expected).max()
+        np.testing.assert_allclose(row, expected[: len(at)], rtol=1e-7, atol=atol)
+
+
+def test_trials_with_the_same_pressures_share_one_simulation_of_the_pressures(monkeypatch):
+    given = experiment.load(ROOT / "docs" / "experiment.toml")
+    p = plan_trial(given, given.trials[0], (), Resolution(11, 40, 5e-3), SPACING * np.arange(50))
+    theta, other = (np.array([2.0, 0.5, k, 4.79e-7]) for k in (K, 2.0 * K))
+    jobs = []
+
+    def counted(work, items, *rest):
+        jobs.append(len(items))
+        return in_batches(work, items, *rest)
+
+    monkeypatch.setattr("calibration.model.predict.in_batches", counted)
+    soft = theta * np.array([1.0, 1.0, 1.0, 1.1])
+    histories = pressure_histories([(p, theta), (p, soft), (p, other)])
+    assert jobs == [2]
+    assert histories[0] is histories[1] and histories[0] is not histories[2]
+
+
+def test_batches_hold_items_of_one_kind_and_keep_the_order():
+    seen = []
+
+    def work(batch):
+        seen.append(tuple(batch))
+        return [10 * x for x in batch]
+
+    assert in_batches(work, [1, 2, 3, 4, 5], "abaaa", [1, 2, 3, 4, 5], 3) == [10, 20, 30, 40, 50]
+    assert sorted(seen) == [(1, 1, 1), (2, 2, 2), (5, 4, 3)]
+
+
+def test_trials_of_different_lengths_in_one_batch_have_the_readings_of_single_trials():
+    given = experiment.load(ROOT / "docs" / "experiment.toml")
+    names = ("leakage", "force_crosstalk")
+    short, long = (
+        plan_trial(given, given.trials[0], names, Resolution(11, 40, 5e-3), SPACING * np.arange(n))
+        for n in (60, 700)
+    )
+    theta = base_vector(entries := model_parameters(names), base_values(given))
+    theta[[bool(x.effect) for x in entries]] += 0.05
+    together = predict_each([(short, theta), (long, theta)])
+    for p, found in zip((short, long), together, strict=True):
+        assert np.isfinite(found).all()
+        scale = np.ptp(found, axis=1, keepdims=True)
+        np.testing.assert_allclose(found / scale, predict_readings(p, theta) / scale, atol=1e-9)

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibration.model.predict import Resolution, plan_trial, predict_readings
+from calibration.model.plan import Resolution, plan_trial
+from calibration.model.predict import predict_readings
 from slider_jax.actuation import FirstOrderLag, Held
 from slider_jax.effects.pneumatics.valve_delay import ValveDelay
 from slider_jax.errors import InputError

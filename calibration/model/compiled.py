@@ -1,0 +1,150 @@
+"""Compiles functions once for all threads, batches them over trials, and adds tangents to them."""
+
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from threading import Lock
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from slider_jax.batch.chunks import available_cores
+
+DIRECTIONS = 8
+"""A call of a compiled program computes a multiple of this number of tangents."""
+MOST_DIRECTIONS = 64
+"""Largest number of tangents that one call computes. 64 tangents take twice the time of eight."""
+
+
+def compiled_once(function):
+    """Returns the compiled `function`; a thread waits while another thread compiles it.
+
+    JAX compiles a program twice if two threads call it for the first time at the same time.
+    """
+    jitted, locks, ready = eqx.filter_jit(function), defaultdict(Lock), set()
+
+    def call(*arguments):
+        leaves, structure = jax.tree.flatten(arguments)
+        key = (structure, *(np.shape(x) for x in leaves))
+        if key in ready:
+            return jitted(*arguments)
+        with locks[key]:
+            found = jitted(*arguments)
+            ready.add(key)
+        return found
+
+    return call
+
+
+def compiled_batch(function):
+    """Returns the compiled batch of `function`, called as batch(static arguments, *arguments).
+
+    The first axis of each array in `arguments` is the trial. A single trial is not batched, because
+    the program without a batch axis compiles and runs faster.
+    """
+
+    @compiled_once
+    def batch(static, *trials):
+        if all(len(x) == 1 for x in jax.tree.leaves(trials)):
+            found = function(*jax.tree.map(lambda x: x[0], trials), *static)
+            return jax.tree.map(lambda x: x[None], found)
+        return eqx.filter_vmap(lambda *trial: function(*trial, *static))(*trials)
+
+    return batch
+
+
+def with_tangents(function, arguments, directions):
+    """Returns the value of function(*arguments), and the value's tangents along `directions`.
+
+    Each array of `directions` has the axes of its argument after a first axis of directions.
+    """
+    dynamic, static = eqx.partition(arguments, eqx.is_inexact_array)
+
+    def value(dynamic):
+        out = function(*eqx.combine(dynamic, static))
+        moving, fixed = eqx.partition(out, eqx.is_inexact_array)
+        return moving, fixed
+
+    def one(direction):
+        return jax.jvp(value, (dynamic,), (direction,), has_aux=True)
+
+    moving, tangents, fixed = jax.vmap(one, out_axes=(None, 0, None))(directions)
+    return eqx.combine(moving, fixed), tangents
+
+
+def rows_per_call(k: int) -> int:
+    """Returns the number of directions in each call that computes a part of `k` tangents."""
+    calls = -(-k // MOST_DIRECTIONS)
+    return DIRECTIONS * -(-k // (DIRECTIONS * calls))
+
+
+def by_directions(function, directions: np.ndarray, kinds: np.ndarray | None = None) -> np.ndarray:
+    """Returns `function(directions)` for `directions` (k, n), in calls of equal numbers of rows.
+
+    The number of rows is a multiple of `DIRECTIONS`, so that few programs are compiled. Rows of the
+    same kind, given by `kinds` (k,), are next to each other in these calls.
+    """
+    order = np.arange(len(directions)) if kinds is None else np.argsort(kinds, kind="stable")
+    rows = rows_per_call(len(directions))
+    padded = np.zeros((-(-len(directions) // rows), rows, directions.shape[1]))
+    padded.reshape(-1, directions.shape[1])[: len(directions)] = directions[order]
+    found = np.concatenate([np.asarray(function(block)) for block in padded])
+    return found[np.argsort(order)]
+
+
+def stacked(trees: Sequence[Any]) -> Any:
+    """Returns one tree whose arrays are those of all `trees`, along a new first axis."""
+    return jax.tree.map(lambda *x: np.stack(x), *trees)
+
+
+def structure_of(tree: Any) -> Hashable:
+    """Returns the structure and shapes of a tree. Trees that can be stacked have the same."""
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, *(np.shape(x) for x in leaves)
+
+
+def in_batches(
+    work: Callable[[list], list],
+    items: Sequence[Any],
+    kinds: Sequence[Hashable],
+    lengths: Sequence[int],
+    size: int,
+) -> list:
+    """Returns the result of `work` for each item, computed in batches of `size` on all cores.
+
+    The items of one batch are of the same kind. The longest items come first. A batch that is not
+    full repeats its last item.
+    """
+    groups: dict[Hashable, list[int]] = {}
+    for i in sorted(range(len(items)), key=lambda i: -lengths[i]):
+        groups.setdefault(kinds[i], []).append(i)
+    jobs = [x[i : i + size] for x in groups.values() for i in range(0, len(x), size)]
+    jobs.sort(key=lambda job: -lengths[job[0]])
+
+    def one(job: list[int]) -> list:
+        full = job + [job[-1]] * (size - len(job))
+        return work([items[i] for i in full])[: len(job)]
+
+    found: dict[int, Any] = {}
+    for job, results in zip(jobs, on_all_cores(one, jobs), strict=True):
+        found |= dict(zip(job, results, strict=True))
+    return [found[i] for i in range(len(items))]
+
+
+def on_all_cores(work, items: list) -> list:
+    """Returns `work(item)` for every item, in the order of `items`, with one thread per core."""
+    with ThreadPoolExecutor(max_workers=available_cores()) as pool:
+        return list(pool.map(work, items))
+
+
+@contextmanager
+def background_thread() -> Iterator[ThreadPoolExecutor]:
+    """Yields one thread for work that may be dropped; work that has not begun at the end is."""
+    pool = ThreadPoolExecutor(1)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)

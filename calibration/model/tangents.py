@@ -1,0 +1,202 @@
+"""Computes tangents of a trial's readings: derivatives with respect to parameters, or states.
+
+As in `predict`, the pressures, the robot and the sensors have separate programs.
+"""
+
+import jax
+import numpy as np
+
+from calibration.model.compiled import by_directions, compiled_once, with_tangents
+from calibration.model.extended import (
+    ExtendedModel,
+    Part,
+    PartialModel,
+    acting_part,
+    model_parameters,
+)
+from calibration.model.plan import (
+    BLOCK,
+    TrialPlan,
+    at_samples,
+    first_block,
+    padded,
+    stage_times,
+    with_pressures,
+)
+from calibration.model.predict import (
+    PressureHistory,
+    advance_block,
+    advance_chambers,
+    body_readings,
+    pressure_histories,
+    read_series,
+)
+from slider_jax.beam.parameters import Numerics
+from slider_jax.dynamics.pressures import Chambers, start_chambers
+from slider_jax.dynamics.step import Carry, at_rest
+from slider_jax.dynamics.time_schemes import Scheme
+from slider_jax.effects.library import KNOWN_EFFECTS
+from slider_jax.simulation.trial import run_chunks
+
+
+@compiled_once
+def _begin_along(extended: ExtendedModel, theta, directions, numerics: Numerics):
+    return with_tangents(lambda x: at_rest(extended.at(x), numerics), (theta,), (directions,))
+
+
+@compiled_once
+def _advance_along(extended: ExtendedModel, here, along, h, t0, numerics: Numerics, scheme: Scheme):
+    """Returns the value of `advance_block` at `here` = (theta, carry, chambers), and tangents."""
+
+    def function(theta, carry, chambers):
+        return advance_block(extended, theta, carry, chambers, h, t0, numerics, scheme)
+
+    return with_tangents(function, here, along)
+
+
+@compiled_once
+def _chambers_along(extended: ExtendedModel, theta, begin, times, d_theta, d_begin):
+    def function(theta, begin):
+        return advance_chambers(extended, theta, begin, times)
+
+    return with_tangents(function, (theta, begin), (d_theta, d_begin))
+
+
+@compiled_once
+def _read_along(extended: ExtendedModel, theta, t, series, d_theta, d_series):
+    def function(theta, series):
+        return read_series(extended, theta, t, series)
+
+    return with_tangents(function, (theta, series), (d_theta, d_series))[1]
+
+
+def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Returns tangents (k, channels, samples) of the readings along `directions` (k, entries).
+
+    The tangents of all channels, also of the pressures, are interpolated between time steps.
+    """
+    moves_pressures = _moves(p.extended, Part.PRESSURES, directions)
+    moves = moves_pressures | _moves(p.extended, Part.BODY, directions)
+    body = acting_part(p.extended, Part.BODY, theta, directions)
+    found = np.zeros((len(directions), len(p.extended.channels), len(p.at)))
+    ideal: list[np.ndarray] = []
+
+    def along(d: np.ndarray) -> np.ndarray:
+        state = _begin_along(body.extended, body.theta, d[:, body.entries], p.numerics)
+        series, d_series = _ideal_tangents(p, theta, d, body, state)
+        ideal[:] = [series]
+        return _recorded_tangents(p, theta, d, series, d_series)
+
+    def along_sensors(d: np.ndarray) -> np.ndarray:
+        return _recorded_tangents(p, theta, d, ideal[0], np.zeros((len(d), *ideal[0].shape)))
+
+    if moves.any():
+        found[moves] = by_directions(along, directions[moves], moves_pressures[moves])
+    if not moves.all():
+        if not ideal:
+            history = pressure_histories([(p, theta)])
+            ideal[:] = [body_readings([(p, theta)], history)[0].series]
+        found[~moves] = by_directions(along_sensors, directions[~moves])
+    return found
+
+
+def compile_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> None:
+    """Compiles the programs of `reading_tangents` for `directions` (k, entries)."""
+    reading_tangents(first_block(p), theta, directions)
+
+
+def initial_state_tangents(
+    p: TrialPlan, theta: np.ndarray, d_carry: Carry, initial: np.ndarray
+) -> np.ndarray:
+    """Returns tangents (k, channels, samples) with respect to initial states.
+
+    `d_carry` are the tangents of the initial state of the model `acting_part`; their first axis is
+    the direction. `initial` (k, channels) are the tangents of the readings at t = 0. Tangents of
+    pressures are 0.
+    """
+    none = np.zeros((len(initial), len(theta)))
+    body = acting_part(p.extended, Part.BODY, theta)
+    carry, _ = _begin_along(body.extended, body.theta, none[:, body.entries], p.numerics)
+    series, d_series = _ideal_tangents(p, theta, none, body, (carry, d_carry), initial)
+    return _recorded_tangents(p, theta, none, series, d_series)
+
+
+def _moves(extended: ExtendedModel, part: Part, directions: np.ndarray) -> np.ndarray:
+    """Returns for each of the `directions` (k, entries) whether it changes this part of a model."""
+    parts = [
+        Part.of_kind(KNOWN_EFFECTS[x.effect])
+        if x.effect
+        else (Part.PRESSURES if x.name == "k" else Part.BODY)
+        for x in model_parameters(extended.effects)
+    ]
+    own = [x is part for x in parts]
+    return np.any(directions[:, own] != 0.0, axis=1)
+
+
+def _ideal_tangents(
+    p: TrialPlan,
+    theta: np.ndarray,
+    d_theta: np.ndarray,
+    body: PartialModel,
+    state: tuple[Carry, Carry],
+    initial: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns ideal sensors' readings (n, channels) at the steps, and tangents (k, n, channels).
+
+    `state` is the initial state, and its tangents.
+    """
+    h, times, block = np.asarray(p.grid.h), stage_times(p), BLOCK * p.scheme.stages
+    d_body = d_theta[:, body.entries]
+    fixed: PressureHistory | None = None
+    if _moves(p.extended, Part.PRESSURES, d_theta).any():
+        moving = acting_part(p.extended, Part.PRESSURES, theta, d_theta)
+        chambers = start_chambers(moving.model)
+        pressures = chambers, jax.tree.map(lambda x: np.zeros((len(d_theta), *x.shape)), chambers)
+    else:
+        (fixed,) = pressure_histories([(p, theta)])
+        pressures = None
+
+    def next_chambers(done: int, pressures):
+        if fixed is not None:
+            there = fixed.block(done, p.scheme.stages)
+            return (there, jax.tree.map(lambda x: np.zeros((len(d_theta), *x.shape)), there)), None
+        begin = done * p.scheme.stages
+        there, d_there = _chambers_along(
+            moving.extended, moving.theta, pressures[0], times[begin : begin + block + 1],
+            d_theta[:, moving.entries], pressures[1],
+        )  # fmt: skip
+        last = jax.tree.map(lambda x: x[-1], there), jax.tree.map(lambda x: x[:, -1], d_there)
+        return (Chambers(there.p, there.acting), Chambers(d_there.p, d_there.acting)), last
+
+    def advance(done: int, state):
+        (carry, d_carry), pressures = state
+        (there, d_there), pressures = next_chambers(done, pressures)
+        (saved, carry), (d_saved, d_carry) = _advance_along(
+            body.extended, (body.theta, carry, there), (d_body, d_carry, d_there),
+            h, h * done, p.numerics, p.scheme,
+        )  # fmt: skip
+        return (saved, d_saved), ((carry, d_carry), pressures)
+
+    parts, _ = run_chunks(advance, (state, pressures), p.grid.steps, BLOCK)
+    start = with_pressures(np.asarray(state[0].chambers.p)[None])
+    first = np.zeros((len(d_theta), 1, start.shape[-1])) if initial is None else initial[:, None]
+    series = np.concatenate([start, *(x for x, _ in parts)])
+    return series, np.concatenate([first, *(x for _, x in parts)], axis=1)
+
+
+def _recorded_tangents(
+    p: TrialPlan, theta: np.ndarray, d_theta: np.ndarray, series: np.ndarray, d_series: np.ndarray
+) -> np.ndarray:
+    """Returns tangents (k, channels, samples) of real sensors' readings from ideal sensors' ones.
+
+    `series` (n, channels) are the readings of ideal sensors at the steps; `d_series` (k, n,
+    channels) are their tangents.
+    """
+    sensors = acting_part(p.extended, Part.SENSORS, theta, d_theta)
+    if not sensors.has_effects:
+        return at_samples(p, np.swapaxes(d_series, 1, 2))
+    t = p.grid.h * np.arange(len(series))
+    (at, series), (_, d_series) = padded(t, series), padded(t, d_series)
+    own = d_theta[:, sensors.entries]
+    read = _read_along(sensors.extended, sensors.theta, at, series, own, d_series)
+    return at_samples(p, np.asarray(read))
