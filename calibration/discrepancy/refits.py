@@ -144,8 +144,8 @@ def shape_starts(
 class Estimate:
     """A fit by Broyden's method; the caller simulates the readings at `proposed`."""
 
-    def __init__(self, refits: "Refits", start: FitStart, tangents: Tangents):
-        self.refits, self.start = refits, start
+    def __init__(self, refits: "Refits", current: Fit, start: FitStart, tangents: Tangents):
+        self.refits, self.current, self.start = refits, current, start
         self.proposed = start.theta
         self.J = start.J or {key: x[start.free] for key, x in tangents.items()}
         self.bounds = Bounds.of([refits.entries[i] for i in start.free])
@@ -177,7 +177,11 @@ class Estimate:
         theta, free = self.proposed, best.free
         self.step = linear_optimum(A, b, theta[free], self.bounds) - theta[free]
         gain = 2.0 * self.step @ b - self.step @ A @ self.step
-        least = refits.settings.estimate_tolerance * max(1.0, square / samples)
+        moved = abs(self.current.square - square)
+        least = max(
+            refits.settings.estimate_tolerance * max(1.0, square / samples),
+            refits.settings.estimate_tolerance_share * moved,
+        )
         self.expected, self.done = square - gain, bool(abs(gain) < least)
         self.best = Fit(theta, free, square, samples, blocks, predicted, self.done)
         self.share, self.steps, self.halved = 1.0, self.steps + 1, 0
@@ -211,8 +215,13 @@ class Refits:
         return relative_changes(self.problem, before.predicted, after.predicted)
 
     def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
-        """Returns the fit of the parameters `free` (indices) that starts at `theta`."""
-        return fit_gauss_newton(self.problem, self.entries, theta, free, self.progress, self.white)
+        """Returns the fit of the parameters `free` (indices) that starts at `theta`.
+
+        The fit is not exact: the loop refits its final model to all trials.
+        """
+        return fit_gauss_newton(
+            self.problem, self.entries, theta, free, self.progress, self.white, exact=False
+        )
 
     def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:
         """Returns theta with the parameters `group` (indices) at their null."""
@@ -266,10 +275,10 @@ class Refits:
         free = self.estimated(current, [x for _, x in more], tangents, judge, most)
         chosen = [each[0] for each in found]
         for (k, _), fit in zip(more, free, strict=True):
-            chosen[k] = max(chosen[k], fit, key=lambda fit: self._surplus(current, fit))
+            chosen[k] = max(chosen[k], fit, key=lambda fit: self.surplus(current, fit))
         return chosen
 
-    def _surplus(self, current: Fit, fit: Fit) -> float:
+    def surplus(self, current: Fit, fit: Fit) -> float:
         """Returns the gain of `fit` over `current`, minus the required gain."""
         added = int(np.sum(~np.isin(fit.free, current.free)))
         gain = (current.square - fit.square) / fit.inflation
@@ -289,15 +298,19 @@ class Refits:
         `current`. `tangents` are the tangents at `current`; Broyden's formula corrects them after
         each step. All fits are simulated in one batch. A start that cannot be simulated is moved
         halfway to its `null`, at most `max_halvings` times. If it still fails, the sum of squares
-        of the fit is `FAILED`. Unless `judge` is true, a fit without prospects ends early, without
-        convergence: its expected gain is below the fraction `contender_gain_share` of the largest
-        gain. The largest gain is the maximum over all these fits, or `most` if `most` is larger.
+        of the fit is `FAILED`.
+
+        A fit without prospects ends early, without convergence: its expected gain is below the gain
+        of another fit of the same parameters. If `judge` is true, the first of these fits continues
+        to its end. If `judge` is false, a fit also ends if its expected gain is below the fraction
+        `contender_gain_share` of the largest gain of all these fits. `most` replaces the largest
+        gain if `most` is larger.
         """
         if not starts:
             return []
         coarse = self.problem.coarse([current.theta])
         offset = [y - x[0] for y, x in zip(current.predicted, coarse, strict=True)]
-        fits = [Estimate(self, x, tangents) for x in starts]
+        fits = [Estimate(self, current, x, tangents) for x in starts]
         for _ in range(self.settings.max_estimate_steps):
             active = [x for x in fits if not x.done]
             if not active:
@@ -305,11 +318,14 @@ class Refits:
             readings = self.problem.coarse([x.proposed for x in active])
             for i, x in enumerate(active):
                 x.update([y[i] + more for y, more in zip(readings, offset, strict=True)])
-            if judge:
-                continue
             most = max([most, *(current.square - x.best.square for x in fits)])
             for x in active:
-                least = self.settings.contender_gain_share * most
+                same = [y for y in fits if np.array_equal(y.start.free, x.start.free)]
+                least = current.square - min(y.best.square for y in same)
+                if not judge:
+                    least = max(least, self.settings.contender_gain_share * most)
+                elif x is same[0]:
+                    continue
                 x.done |= x.steps > 1 and current.square - x.expected < least
         return [x.best for x in fits]
 

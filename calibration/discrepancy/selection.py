@@ -110,10 +110,7 @@ def _with_measured_discrepancies(refits: Refits, found: Selection) -> Refits:
     found.discrepancies = {c: min(x.used, before[c]) for c, x in found.measured.items()}
     problem = refits.problem.with_discrepancies(found.discrepancies)
     refits = replace(refits, problem=problem, white=problem.whiteners(found.final.predicted))
-    final, exact = found.final, bool(found.effects)
-    found.final = fit_gauss_newton(
-        problem, refits.entries, final.theta, final.free, refits.progress, refits.white, exact
-    )
+    found.final = refits.fit(found.final.theta, found.final.free)
     return refits
 
 
@@ -250,17 +247,23 @@ def _round(
             round_.refitted.append(_refit(refits, current, s, fit))
         else:
             progress(f"skipping {s.name}: the start of its refit cannot be simulated")
+    best: Refit | None = None
     accepted = [t for t in round_.refitted if t.worth_naming and t.agreement.agreed(settings)]
-    for best in sorted(accepted, key=lambda t: t.fit.square):
-        progress(f"refitting with {best.name} on the fine mesh")
-        s = next(s for s in scores if s.name == best.name)
-        fine = _refit(refits, current, s, refits.fit(best.fit.theta, best.fit.free))
-        place = round_.refitted.index(best)
-        round_.refitted[place] = fine
-        if fine.worth_naming:
-            round_.chosen = best.name
-            round_.equivalent = equivalent_effects(best, round_, scored, current, blocks, settings)
-            break
+    for t in sorted(accepted, key=lambda t: -refits.surplus(current, t.fit)):
+        if best and refits.surplus(current, t.fit) < refits.surplus(current, best.fit):
+            break  # The other candidates are worse already on the coarse mesh.
+        progress(f"refitting with {t.name} on the fine mesh")
+        s = next(s for s in scores if s.name == t.name)
+        fine = _refit(refits, current, s, refits.fit(t.fit.theta, t.fit.free))
+        round_.refitted[round_.refitted.index(t)] = fine
+        better = best is None or refits.surplus(current, fine.fit) > refits.surplus(
+            current, best.fit
+        )
+        if fine.worth_naming and better:
+            best = fine
+    if best:
+        round_.chosen = best.name
+        round_.equivalent = equivalent_effects(best, round_, scored, current, blocks, settings)
     return round_, ScoringTangents(tangents, J)
 
 

@@ -39,6 +39,10 @@ predicted decrease."""
 GAIN_TOLERANCE = 0.02
 """A fit ends if the next step would lower the sum of squares by less than this multiple of the
 residual's mean square. The parameters are then within 1/7 standard error of the optimum."""
+INEXACT_GAIN_TOLERANCE = 0.1
+"""Replaces `GAIN_TOLERANCE` in fits that need not be exact. The parameters are then within 1/3
+standard error of the optimum. The tolerance is 0.5 % of the least gain for which the loop adds an
+effect."""
 FEW, DIFFERENCE = 3, 1e-4
 """Finite differences replace tangents if at most one in `FEW` entries is free. One call computes
 all tangents together, so a few tangents take nearly as long as all tangents. A finite difference
@@ -48,6 +52,10 @@ FRESH_DISTANCE = 0.3
 this number."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Fractions of a step that are tried in this order."""
+NEAR_GAIN, INEXACT_NEAR_GAIN, NEAR_SHARES = 1.0, 4.0, (1.0, 0.25)
+"""`NEAR_SHARES` replaces `SHARES` if the predicted gain is below `NEAR_GAIN` times the residual's
+mean square. There, the errors of the derivatives can be larger than the derivatives of the sum of
+squares, so that no step lowers it. `INEXACT_NEAR_GAIN` applies to fits that need not be exact."""
 STALLED = 3
 """A fit ends after this many successive steps whose gain is below the tolerance although the
 predicted gain is above it. Without this limit, a fit of two nearly equal effects of the valves used
@@ -163,8 +171,8 @@ def fit_gauss_newton(
     A step is shortened if the simulation fails. The fit does not converge if the simulation or a
     tangent at the start fails, or if several steps gain much less than predicted. `white` are the
     whiteners of the residuals (default: computed from the readings at the start). Only fits with
-    the same whiteners have comparable sums of squares. If `exact` is false, the fit may end with
-    tangents from differences and Broyden's formula.
+    the same whiteners have comparable sums of squares. If `exact` is false, the fit ends
+    earlier, and it may end with tangents from differences and Broyden's formula.
     """
     bounds = Bounds.of([entries[i] for i in free])
     predicted = problem.predict(theta)
@@ -184,7 +192,8 @@ def fit_gauss_newton(
         unit = max(1.0, square / max(samples, 1))
         step = linear_optimum(A, b, theta[free], bounds) - theta[free]
         expected = 2.0 * step @ b - step @ A @ step
-        enough = unit * (GAIN_TOLERANCE if unit < POOR_FIT else ROUGH_GAIN_TOLERANCE)
+        least = GAIN_TOLERANCE if exact else INEXACT_GAIN_TOLERANCE
+        enough = unit * (least if unit < POOR_FIT else ROUGH_GAIN_TOLERANCE)
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
         if abs(expected) < enough:
             moved = (theta - origin)[free]
@@ -193,7 +202,8 @@ def fit_gauss_newton(
                 break
             J = None
             continue
-        shares = SHARES if fresh else SHARES[:1]
+        near = expected < unit * (NEAR_GAIN if exact else INEXACT_NEAR_GAIN)
+        shares = (NEAR_SHARES if near else SHARES) if fresh else SHARES[:1]
         for share in shares if stalled < STALLED else ():
             trial = theta.copy()
             trial[free] = theta[free] + share * step
@@ -202,7 +212,7 @@ def fit_gauss_newton(
             if total(found) < square:
                 break
         else:
-            if not fresh and stalled < STALLED:
+            if not fresh and stalled < STALLED and (exact or not near):
                 J = None
                 continue
             error = np.sqrt(unit * np.diag(inverse(A)))
