@@ -144,8 +144,10 @@ def shape_starts(
 class Estimate:
     """A fit by Broyden's method; the caller simulates the readings at `proposed`."""
 
-    def __init__(self, refits: "Refits", current: Fit, start: FitStart, tangents: Tangents):
-        self.refits, self.current, self.start = refits, current, start
+    def __init__(
+        self, refits: "Refits", current: Fit, start: FitStart, tangents: Tangents, judge: bool
+    ):
+        self.refits, self.current, self.start, self.judge = refits, current, start, judge
         self.proposed = start.theta
         self.J = start.J or {key: x[start.free] for key, x in tangents.items()}
         self.bounds = Bounds.of([refits.entries[i] for i in start.free])
@@ -177,7 +179,8 @@ class Estimate:
         theta, free = self.proposed, best.free
         self.step = linear_optimum(A, b, theta[free], self.bounds) - theta[free]
         gain = 2.0 * self.step @ b - self.step @ A @ self.step
-        moved = abs(self.current.square - square)
+        gained = self.current.square - square
+        moved = max(0.0, -gained) if self.judge else abs(gained)
         least = max(
             refits.settings.estimate_tolerance * max(1.0, square / samples),
             refits.settings.estimate_tolerance_share * moved,
@@ -214,13 +217,13 @@ class Refits:
         """Returns each channel's rms change between two fits as a fraction of the channel's rms."""
         return relative_changes(self.problem, before.predicted, after.predicted)
 
-    def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
+    def fit(self, theta: np.ndarray, free: np.ndarray, exact: bool = False) -> Fit:
         """Returns the fit of the parameters `free` (indices) that starts at `theta`.
 
-        The fit is not exact: the loop refits its final model to all trials.
+        By default, the fit is not exact: the loop refits its final model to all trials.
         """
         return fit_gauss_newton(
-            self.problem, self.entries, theta, free, self.progress, self.white, exact=False
+            self.problem, self.entries, theta, free, self.progress, self.white, exact
         )
 
     def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -310,7 +313,7 @@ class Refits:
             return []
         coarse = self.problem.coarse([current.theta])
         offset = [y - x[0] for y, x in zip(current.predicted, coarse, strict=True)]
-        fits = [Estimate(self, current, x, tangents) for x in starts]
+        fits = [Estimate(self, current, x, tangents, judge) for x in starts]
         for _ in range(self.settings.max_estimate_steps):
             active = [x for x in fits if not x.done]
             if not active:

@@ -133,6 +133,9 @@ def _fix_shapes(refits: Refits, found: Selection) -> None:
         refits.progress("refitting with an undetermined shape parameter at its default")
         return refits.fit(fit.theta, fit.free)
 
+    if any(refits.entries[i].is_shape for i in found.final.free):
+        # The least determined parameters need the most exact fit.
+        found.final = refits.fit(found.final.theta, found.final.free, exact=True)
     found.final = fix_undetermined_shapes(found, found.final, refit)
 
 

@@ -81,7 +81,8 @@ class SelectionSettings:
     """A refit on the coarse mesh ends if the next step would lower the sum of squares by less than
     this multiple of the residual's mean square."""
     estimate_tolerance_share: float = 0.01
-    """Such a refit also ends if the next step would change its gain by less than this fraction."""
+    """Such a refit also ends if the next step would change its gain or its loss by less than this
+    fraction. If an effect or a term is judged by the refit, this applies only to a loss."""
     removal_loss_factor: float = 10.0
     """The loop predicts the increase of the sum of squares by the removal of an effect, in units of
     the residual's mean square. If the increase exceeds this multiple of `min_gain`, the loop keeps

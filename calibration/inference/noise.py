@@ -277,15 +277,11 @@ class Whitener:
 
 
 def discrepancy_scale(noise: Noise, model: np.ndarray) -> float:
-    """Returns the discrepancy's standard deviation for the predicted readings `model` (n,)."""
-    return noise.discrepancy * (float(np.std(model)) if len(model) > 1 else 0.0)
+    """Returns the discrepancy's standard deviation for the predicted readings `model` (n,).
 
-
-def rounded_scale(scale: float) -> float:
-    """Returns a `scale` that is rounded to one of few values, at most `SCALE_STEP`/2 away.
-
-    Predictions that differ little then share a `StationaryWhitener`.
+    The value is rounded, so that predictions that differ little share a `StationaryWhitener`.
     """
+    scale = noise.discrepancy * (float(np.std(model)) if len(model) > 1 else 0.0)
     return float(np.exp(SCALE_STEP * np.round(np.log(scale) / SCALE_STEP))) if scale else 0.0
 
 

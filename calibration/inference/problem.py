@@ -25,7 +25,6 @@ from calibration.inference.noise import (
     channel_noise,
     declared_shares,
     discrepancy_scale,
-    rounded_scale,
 )
 from calibration.measurements.records import Record
 from calibration.model.compiled import on_all_cores
@@ -185,7 +184,7 @@ class AbstractProblem(ABC):
             model = np.nan_to_num(predicted[i][row][there])
             swings = None if swing is None else swing[i][:, row, there]
             noise, t, frequency = self.noise[key], r.t[there], r.trial.frequency
-            scale = rounded_scale(discrepancy_scale(noise, model))
+            scale = discrepancy_scale(noise, model)
             name = r.trial.file, channel
             stationary = self._stationary.get(name)
             if stationary is None or not stationary.serves(t, noise, scale, frequency):

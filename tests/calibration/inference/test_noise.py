@@ -12,9 +12,11 @@ from calibration.inference.noise import (
     DISCREPANCY_TIME,
     WHOLE,
     Noise,
+    StationaryWhitener,
     Whitener,
     channel_noise,
     discrepancy_correlation,
+    discrepancy_scale,
     quantisation_step,
 )
 from slider_jax.experiment.schema import SensorsTable
@@ -48,7 +50,7 @@ def test_the_whitener_makes_declared_noise_white():
 def dense_root(t, noise, model, frequency, spans=()):
     """Returns the Cholesky factor of the declared covariance, without any approximation."""
     lag = np.abs(t[:, None] - t)
-    scale = noise.discrepancy * np.std(model)
+    scale = discrepancy_scale(noise, model)
     cov = noise.slow**2 * np.exp(-lag / noise.slow_time)
     cov += scale**2 * discrepancy_correlation(lag, frequency) + noise.tare**2
     for row in (noise.gain * model, *spans):
@@ -68,6 +70,28 @@ def test_a_short_series_is_whitened_by_the_exact_covariance(n, frequency):
     exact = solve_triangular(dense_root(t, noise, signal, frequency, spans), series.T, lower=True)
     scale = np.abs(exact.T @ exact).max()
     np.testing.assert_allclose(white @ white.T, exact.T @ exact, rtol=0.0, atol=1e-10 * scale)
+
+
+def test_the_scale_of_the_discrepancy_is_rounded_by_at_most_half_a_percent():
+    signals = [(1.0 + 1e-4 * i) * np.sin(9.0 * T) for i in range(1000)]
+    scales = np.array([discrepancy_scale(NOISE, x) for x in signals])
+    exact = NOISE.discrepancy * np.std(signals, axis=1)
+    assert np.abs(scales / exact - 1.0).max() < 0.00502
+    assert len(set(scales)) < 12
+    assert discrepancy_scale(NOISE, np.zeros(5)) == 0.0
+
+
+def test_a_whitener_for_the_same_noise_can_be_shared_and_for_other_noise_not():
+    scale = discrepancy_scale(NOISE, SIGNAL)
+    known = StationaryWhitener(T, NOISE, scale, 2.0)
+    assert known.serves(T.copy(), NOISE._replace(gain=0.5), scale, 2.0)
+    assert not known.serves(T, NOISE, 1.1 * scale, 2.0)
+    assert not known.serves(T, NOISE, scale, None)
+    assert not known.serves(T[:-1], NOISE, scale, 2.0)
+    assert not known.serves(T, NOISE._replace(white=0.03), scale, 2.0)
+    series = sampled_noise(3)
+    shared = Whitener(T, NOISE, SIGNAL, 2.0, stationary=known)(series)
+    np.testing.assert_array_equal(shared, Whitener(T, NOISE, SIGNAL, 2.0)(series))
 
 
 EVEN = np.arange(3000) / 500.0
