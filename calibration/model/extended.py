@@ -176,7 +176,7 @@ class PartialModel(NamedTuple):
         )
 
     @property
-    def key(self) -> Hashable:
+    def pressure_key(self) -> Hashable:
         """Returns the effects, and all parameters that can change the pressures."""
         own = [list(BASE).index("k"), *range(len(BASE), len(self.theta))]
         return self.extended.effects, self.theta[own].tobytes()

@@ -1,8 +1,8 @@
 """Predicts the readings of trials in three parts: pressures, robot and water, and sensors.
 
-The pressures do not depend on the motion of the robot, and the readings do not change it. Each part
-has its own program, which contains only the effects of this part. If all effects of a part are at
-their null, the part's program contains no effect.
+The motion of the robot does not change the pressures, and the sensors do not change the motion.
+Each part has its own program, which contains only the effects of this part. If all effects of a
+part are at their null, the part's program contains no effect.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,11 +38,11 @@ BATCH = 4
 """Number of trials in one batch."""
 SINGLE_CELLS = 60
 """Meshes with at least this number of cells are simulated one trial at a time. A batch of four
-halves the time per trial with the mesh `COARSE`, and changes it by 10 % with the mesh `FINE`. There
-a batch that is not full, or whose trials have different lengths, loses more."""
-
+halves the time per trial with the mesh `COARSE`, but saves only 10 % with the mesh `FINE`. A batch
+that is not full, or whose trials have different lengths, loses more than 10 %."""
 
 PartOf = Callable[[ExtendedModel, Part, np.ndarray], PartialModel]
+"""Returns the model with the effects of one part: `acting_part` or `whole_part`."""
 
 
 class PressureHistory(NamedTuple):
@@ -153,7 +153,7 @@ def pressure_histories(
 ) -> list[PressureHistory]:
     """Returns the pressures of each pair. Pairs with the same pressures share one simulation."""
     parts = [part_of(p.extended, Part.PRESSURES, theta) for p, theta in pairs]
-    keys = [(id(p), x.key) for (p, _), x in zip(pairs, parts, strict=True)]
+    keys = [(id(p), x.pressure_key) for (p, _), x in zip(pairs, parts, strict=True)]
     first = {key: i for i, key in reversed(list(enumerate(keys)))}
     jobs = [(pairs[i][0], parts[i]) for i in first.values()]
     found = in_batches(
