@@ -19,6 +19,7 @@ from typing import Any
 
 from calibration.measurements.synthetic import START, Truth, random_trials, write_tank
 from slider_jax import enable_float64
+from slider_jax.io.files import write_json
 
 SECONDS = (5.0, 4.0, 3.0, 2.5, 2.0, 2.0, 2.0, 2.0)
 CAUSES: dict[str, dict[str, dict[str, float]]] = {
@@ -102,9 +103,7 @@ def main() -> None:
         if name in times:
             continue
         times[name] = run(path, path.parent / f"loop_{name.replace(' ', '_')}")
-        part = table.with_suffix(".part")
-        part.write_text(json.dumps(times, indent=2))
-        part.replace(table)
+        write_json(table, times)
     for name, x in times.items():
         named = ", ".join(x["effects"]) or "none"
         print(

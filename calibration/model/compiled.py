@@ -27,8 +27,7 @@ def compiled_once(function):
     jitted, locks, ready = eqx.filter_jit(function), defaultdict(Lock), set()
 
     def call(*arguments):
-        leaves, structure = jax.tree.flatten(arguments)
-        key = (structure, *(np.shape(x) for x in leaves))
+        key = structure_of(arguments)
         if key in ready:
             return jitted(*arguments)
         with locks[key]:

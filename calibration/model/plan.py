@@ -113,6 +113,11 @@ def sample_grid(p: TrialPlan) -> np.ndarray:
     return t
 
 
+def extended_grid(t: np.ndarray, n: int) -> np.ndarray:
+    """Returns the times `t`, extended to `n` times with the last spacing of `t`."""
+    return np.concatenate([t, t[-1] + (t[-1] - t[-2]) * np.arange(1.0, n - len(t) + 1.0)])
+
+
 def padded(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns times (N,) and series (..., N, channels), extended to one of few lengths N.
 
@@ -122,11 +127,9 @@ def padded(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n = LEAST_LENGTH
     while n < len(t):
         n *= 2
-    more = n - len(t)
-    rest = t[-1] + (t[-1] - t[-2]) * np.arange(1.0, more + 1.0)
     width = [(0, 0)] * series.ndim
-    width[-2] = (0, more)
-    return np.concatenate([t, rest]), np.pad(series, width, mode="edge")
+    width[-2] = (0, n - len(t))
+    return extended_grid(t, n), np.pad(series, width, mode="edge")
 
 
 def at_samples(p: TrialPlan, series: np.ndarray) -> np.ndarray:

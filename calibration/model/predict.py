@@ -17,6 +17,7 @@ from calibration.model.extended import ExtendedModel, Part, PartialModel, acting
 from calibration.model.plan import (
     BLOCK,
     TrialPlan,
+    extended_grid,
     first_block,
     padded,
     sample_grid,
@@ -174,7 +175,7 @@ def _simulate_pressures(jobs: Sequence[tuple[TrialPlan, PartialModel]]) -> list[
 
     def history(times: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         longest = max(len(t) for t in times)
-        t = np.stack([_extended_grid(x, longest) for x in times])
+        t = np.stack([extended_grid(x, longest) for x in times])
         state, p, acting = begin, [begin.p[:, None]], [begin.acting[:, None]]
         for done in range(0, longest - 1, block):
             there = _chambers((), extended, theta, state, t[:, done : done + block + 1])
@@ -190,11 +191,6 @@ def _simulate_pressures(jobs: Sequence[tuple[TrialPlan, PartialModel]]) -> list[
         PressureHistory(p[i, : len(t)], acting[i, : len(t)], sampled_p[i, : len(at_samples[i])])
         for i, t in enumerate(at_stages)
     ]
-
-
-def _extended_grid(t: np.ndarray, n: int) -> np.ndarray:
-    """Returns the times `t`, extended to `n` times. The values at these times are not used."""
-    return np.concatenate([t, t[-1] + (t[-1] - t[-2]) * np.arange(1.0, n - len(t) + 1.0)])
 
 
 class BodySeries(NamedTuple):
@@ -266,7 +262,7 @@ def _sensor_readings(
         part = part_of(p.extended, Part.SENSORS, theta)
         jobs.append((part, p.grid.h * np.arange(len(body.series)), body.series))
         jobs.append((part, sample_grid(p), with_pressures(history.sampled)))
-    read, readings = iter(recorded_each(jobs)), []
+    read, readings = iter(_recorded_each(jobs)), []
     for (p, _), body in zip(pairs, bodies, strict=True):
         series = np.array(next(read))
         t = p.grid.h * np.arange(series.shape[1])
@@ -275,7 +271,7 @@ def _sensor_readings(
     return readings
 
 
-def recorded_each(jobs: Sequence[tuple[PartialModel, np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+def _recorded_each(jobs: Sequence[tuple[PartialModel, np.ndarray, np.ndarray]]) -> list[np.ndarray]:
     """Returns the readings (channels, n) of each (sensors, times (n,), ideal series (n, channels)).
 
     Without effects, the sensors are ideal.
