@@ -13,8 +13,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-import calibration
-import slider_jax
+from calibration.model.stored_programs import source_digest
 from slider_jax.io.files import effect_files, input_file, replacing, tentative_folder, versions
 
 
@@ -48,15 +47,6 @@ def cached(
 ) -> list[np.ndarray]:
     """Returns `memo.cached(name, arrays, make)`, or `make()` if `memo` is None."""
     return make() if memo is None else memo.cached(name, arrays, make)
-
-
-def source_digest() -> str:
-    """Returns the SHA-256 digest of the source files of both packages."""
-    folders = [Path(str(package.__file__)).parent for package in (slider_jax, calibration)]
-    digest = hashlib.sha256()
-    for path in (x for folder in folders for x in sorted(folder.rglob("*.py"))):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def _digest(content: Any) -> str:

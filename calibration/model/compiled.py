@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from calibration.model.stored_programs import stored_program
 from slider_jax.batch.chunks import available_cores
 
 DIRECTIONS = 8
@@ -22,20 +23,28 @@ MOST_DIRECTIONS = 64
 def compiled_once(function):
     """Returns the compiled `function`; a thread waits while another thread compiles it.
 
-    JAX compiles a program twice if two threads call it for the first time at the same time.
+    JAX compiles a program twice if two threads call it for the first time at the same time. In a
+    context of `kept_programs`, the program is loaded from a file if an earlier process stored it.
     """
-    jitted, locks, ready = eqx.filter_jit(function), defaultdict(Lock), set()
+    jitted, locks, ready = eqx.filter_jit(function), defaultdict(Lock), {}
 
     def call(*arguments):
-        key = structure_of(arguments)
+        key = _kind_of(arguments)
         if key in ready:
-            return jitted(*arguments)
+            return ready[key](*arguments)
         with locks[key]:
-            found = jitted(*arguments)
-            ready.add(key)
+            program = ready.get(key) or stored_program(function, arguments) or jitted
+            found = program(*arguments)
+            ready[key] = program
         return found
 
     return call
+
+
+def _kind_of(arguments: tuple) -> Hashable:
+    """Returns the structure of `arguments`, the arrays' shapes and types, and all other values."""
+    leaves, structure = jax.tree.flatten(arguments)
+    return structure, *((x.shape, x.dtype) if eqx.is_array(x) else x for x in leaves)
 
 
 def compiled_batch(function):
@@ -45,14 +54,15 @@ def compiled_batch(function):
     the program without a batch axis compiles and runs faster.
     """
 
-    @compiled_once
     def batch(static, *trials):
         if all(len(x) == 1 for x in jax.tree.leaves(trials)):
             found = function(*jax.tree.map(lambda x: x[0], trials), *static)
             return jax.tree.map(lambda x: x[None], found)
         return eqx.filter_vmap(lambda *trial: function(*trial, *static))(*trials)
 
-    return batch
+    # A stored program is found by the name of its function.
+    batch.__module__, batch.__qualname__ = function.__module__, f"batch of {function.__qualname__}"
+    return compiled_once(batch)
 
 
 def with_tangents(function, arguments, directions):

@@ -97,6 +97,11 @@ def advance_block(
     return out.saved, out.final
 
 
+def begin_at_rest(extended: ExtendedModel, theta, numerics: Numerics) -> Carry:
+    """Returns the state of the robot at rest at the start of a trial."""
+    return at_rest(extended.at(theta), numerics)
+
+
 def advance_chambers(extended: ExtendedModel, theta, begin: Chambers, times) -> Chambers:
     """Returns the chambers at `times[1:]` [s], from `begin` at `times[0]`."""
     return chamber_history(extended.at(theta), begin, times)
@@ -119,7 +124,7 @@ def recorded_pressures(model: Model, t):
     return jnp.stack([read.p_front, read.p_rear])
 
 
-_begin = compiled_batch(lambda extended, theta, numerics: at_rest(extended.at(theta), numerics))
+_begin = compiled_batch(begin_at_rest)
 _advance = compiled_batch(advance_block)
 _chambers = compiled_batch(advance_chambers)
 _read = compiled_batch(read_series)

@@ -1,0 +1,120 @@
+"""Compiled programs in files: a later process loads them, and nothing else is ever loaded."""
+
+import os
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from calibration.model import stored_programs
+from calibration.model.compiled import compiled_batch, compiled_once
+from calibration.model.stored_programs import UNUSED_DAYS, kept_programs
+
+TRACED = []
+
+
+def scaled(x, factor):
+    """Returns a tree; `TRACED` counts how often the function is traced."""
+    TRACED.append(factor)
+    return {"value": factor * x, "pair": (x.sum(), jnp.arange(3))}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The folder of the programs, empty at the start."""
+    before = jax.config.values["jax_compilation_cache_dir"]
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    TRACED.clear()
+    yield tmp_path / "programs"
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def files(folder):
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def later_process(x, factor, wrapper=compiled_once):
+    """Returns the result of a new wrapper, which has no program in memory."""
+    with kept_programs():
+        return wrapper(scaled)(x, factor)
+
+
+def test_a_later_process_loads_the_program_without_tracing(folder):
+    x = jnp.arange(4.0)
+    first = later_process(x, 2.0)
+    assert TRACED == [2.0] and len(files(folder)) == 1
+    second = later_process(x + 1.0, 2.0)
+    assert TRACED == [2.0]
+    np.testing.assert_array_equal(first["value"], 2.0 * np.arange(4.0))
+    np.testing.assert_array_equal(second["value"], 2.0 * np.arange(1.0, 5.0))
+    assert second["pair"][0] == 10.0 and second["pair"][1].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("given", [(jnp.arange(4.0), 3.0), (jnp.arange(5.0), 2.0)])
+def test_other_values_and_shapes_have_other_programs(folder, given):
+    later_process(jnp.arange(4.0), 2.0)
+    np.testing.assert_array_equal(later_process(*given)["value"], given[1] * given[0])
+    assert len(TRACED) == 2 and len(files(folder)) == 2
+
+
+def test_a_batch_is_another_program_than_its_function(folder):
+    x = jnp.arange(8.0).reshape(1, 8)
+    later_process(x, 2.0)
+    with kept_programs():
+        found = compiled_batch(lambda x: scaled(x, 2.0))((), x)
+    np.testing.assert_array_equal(found["value"], 2.0 * x)
+    assert len(files(folder)) == 2
+
+
+@pytest.mark.parametrize("content", [b"", b"torn", None])
+def test_a_torn_file_is_compiled_again(folder, content):
+    x = jnp.arange(4.0)
+    later_process(x, 2.0)
+    (path,) = files(folder)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    np.testing.assert_array_equal(later_process(x, 2.0)["value"], 2.0 * x)
+    assert TRACED == [2.0, 2.0]
+
+
+def test_a_program_from_the_cache_of_jax_is_not_stored(folder):
+    """XLA would store it without its machine code."""
+    x = jnp.arange(4.0)
+    later_process(x, 2.0)
+    (path,) = files(folder)
+    path.unlink()
+    np.testing.assert_array_equal(later_process(x, 2.0)["value"], 2.0 * x)
+    assert not files(folder)
+
+
+@pytest.mark.parametrize("changed", ["source_digest", "effect_files", "versions"])
+def test_programs_of_other_sources_effects_and_versions_are_not_loaded(
+    folder, changed, monkeypatch
+):
+    later_process(jnp.arange(4.0), 2.0)
+    monkeypatch.setattr(stored_programs, changed, lambda: "others")
+    stored_programs._surroundings.cache_clear()
+    later_process(jnp.arange(4.0), 2.0)
+    stored_programs._surroundings.cache_clear()
+    assert TRACED == [2.0, 2.0]
+
+
+def test_nothing_is_stored_outside_the_context_or_without_the_cache(folder):
+    compiled_once(scaled)(jnp.arange(6.0), 2.0)
+    jax.config.update("jax_enable_compilation_cache", False)
+    try:
+        later_process(jnp.arange(7.0), 2.0)
+    finally:
+        jax.config.update("jax_enable_compilation_cache", True)
+    assert not files(folder)
+
+
+def test_programs_of_old_sources_are_deleted(folder):
+    old, recent = folder / "old", folder / "recent"
+    for path, days in ((old, UNUSED_DAYS + 1.0), (recent, UNUSED_DAYS - 1.0)):
+        path.mkdir(parents=True)
+        os.utime(path, (time.time() - 86400.0 * days,) * 2)
+    later_process(jnp.arange(4.0), 2.0)
+    assert not old.exists() and recent.exists()
