@@ -52,7 +52,7 @@ def test_a_later_process_loads_the_program_without_tracing(folder):
     assert second["pair"][0] == 10.0 and second["pair"][1].tolist() == [0, 1, 2]
 
 
-@pytest.mark.parametrize("given", [(jnp.arange(4.0), 3.0), (jnp.arange(5.0), 2.0)])
+@pytest.mark.parametrize("given", [(np.arange(4.0), 3.0), (np.arange(5.0), 2.0)])
 def test_other_values_and_shapes_have_other_programs(folder, given):
     later_process(jnp.arange(4.0), 2.0)
     np.testing.assert_array_equal(later_process(*given)["value"], given[1] * given[0])

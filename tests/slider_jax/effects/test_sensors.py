@@ -53,7 +53,7 @@ def phasor(t, x, f):
     return 2.0 * np.mean(np.asarray(x)[last] * np.exp(-1j * TURN * f * np.asarray(t)[last]))
 
 
-SERIES = made_of(lambda t: jnp.sin(9.0 * t) + 0.3 * jnp.cos(31.0 * t), jnp.linspace(0.0, 1.0, 401))
+SERIES = made_of(lambda t: np.sin(9.0 * t) + 0.3 * np.cos(31.0 * t), np.linspace(0.0, 1.0, 401))
 
 
 @pytest.mark.parametrize(
