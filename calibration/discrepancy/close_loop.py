@@ -14,7 +14,12 @@ from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.discrepancy.verdict import EffectStatus, judge_effects, reach_verdict
 from calibration.inference.cache import Memo
-from calibration.inference.gauss_newton import Fit, fit_gauss_newton, reading_derivatives
+from calibration.inference.gauss_newton import (
+    Fit,
+    derivatives_of_fit,
+    fit_gauss_newton,
+    reading_derivatives,
+)
 from calibration.inference.goodness import (
     Excess,
     channel_errors,
@@ -377,7 +382,7 @@ def conclude(
 
     final = widen_ranges(result, refit(result.final, result.entries), refit)
     final = fix_undetermined_shapes(result, final, refit)
-    along = reading_derivatives(all_trials, result.entries, final.theta, final.free)
+    along = derivatives_of_fit(all_trials, result.entries, final)
     final = hausman_check(all_trials, result.entries, final, along)
     final = shift_by_discrepancy(all_trials, final, along)
     final = widen_by_correlation(all_trials, final)

@@ -24,10 +24,9 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.io.files import provenance
 from slider_jax.io.toml import toml_text
 
-REPEATABLE_RATIO = 2.0
+REPEATABLE_RATIO = 1.3
 """The report states a repeatable error of the thrust if the error exceeds this multiple of the
-model's discretisation error. The multiple is above 1, because the extrapolated discretisation error
-may be wrong by a factor of 1.5."""
+discrepancy's lower limit, which is the largest probable discretisation error of the model."""
 
 
 def loop_record(
@@ -376,8 +375,8 @@ def discrepancy_sentences(outcome: LoopOutcome) -> list[str]:
     least = "at least " if x.measured >= CHANNELS["thrust"].discrepancy else ""
     return [
         f"The data contain a repeatable error of {least}{100.0 * x.measured:.2g} % of the "
-        f"thrust's rms that no effect explains. The model's own discretisation error is "
-        f"{100.0 * x.lower_limit:.2g} %."
+        f"thrust's rms that no effect explains. The model's own discretisation error is at most "
+        f"about {100.0 * x.lower_limit:.2g} %."
     ]
 
 

@@ -89,6 +89,9 @@ class Fit(NamedTuple):
     shift: np.ndarray | float = 0.0
     """Change (k,) of the fitted entries by a discrepancy that repeats in all trials; 0 before
     `uncertainty.shift_by_discrepancy`."""
+    linearised_at: np.ndarray | None = None
+    """Parameters near `theta` at which the derivatives of the readings were computed. None: there
+    are no such parameters."""
 
     @property
     def inflation(self) -> float:
@@ -180,7 +183,7 @@ def fit_gauss_newton(
     residuals = problem.residuals(predicted, white)
     square, converged = total(residuals), False
     samples = sum(len(r) for r in residuals.values())
-    J, fresh, origin, stalled = None, True, theta, 0
+    J, fresh, origin, stalled, near_end = None, True, theta, 0, None
     for iteration in range(MAX_ITERATIONS):
         if J is None:
             J = problem.whitened(reading_derivatives(problem, entries, theta, free), white)
@@ -198,7 +201,7 @@ def fit_gauss_newton(
         if abs(expected) < enough:
             moved = (theta - origin)[free]
             if fresh or not exact or moved @ A @ moved < FRESH_DISTANCE**2 * unit:
-                converged = True
+                converged, near_end = True, origin if exact else None
                 break
             J = None
             continue
@@ -229,7 +232,16 @@ def fit_gauss_newton(
     else:
         J = problem.whitened(reading_derivatives(problem, entries, theta, free), white)
         blocks = normal_equations(residuals, J)
-    return Fit(theta, np.asarray(free), square, samples, blocks, predicted, converged)
+    fit = Fit(theta, np.asarray(free), square, samples, blocks, predicted, converged)
+    return fit._replace(linearised_at=near_end)
+
+
+def derivatives_of_fit(
+    problem: AbstractProblem, entries: Sequence[Parameter], fit: Fit
+) -> list[np.ndarray]:
+    """Returns `reading_derivatives` near the end of a fit, where they may be known already."""
+    at = fit.theta if fit.linearised_at is None else fit.linearised_at
+    return reading_derivatives(problem, entries, at, fit.free)
 
 
 def reading_derivatives(

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calibration.inference.gauss_newton import STALLED, fit_gauss_newton
+from calibration.inference.gauss_newton import (
+    FRESH_DISTANCE,
+    STALLED,
+    derivatives_of_fit,
+    fit_gauss_newton,
+)
 from calibration.inference.problem import FAILED
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
@@ -54,6 +59,26 @@ def test_a_fit_ends_within_a_share_of_a_standard_error(lack, share):
     assert found.converged
     assert np.all(np.abs(found.theta - best.x) < share * error)
     assert problem.simulated < 12
+
+
+def test_a_fit_that_moves_little_ends_with_the_derivatives_of_its_start():
+    problem, computed = Curve(), []
+    best = fit_gauss_newton(problem, ENTRIES, np.array([3.5, 2.0]), np.arange(2))
+    problem.tangents = lambda theta, d: computed.append(theta) or Curve.tangents(problem, theta, d)
+    start = best.theta + np.array([0.0, 0.2 / np.sqrt(np.linalg.inv(best.covariance)[1, 1])])
+    found = fit_gauss_newton(problem, ENTRIES, start, np.arange(2))
+    assert found.converged and np.any(found.theta != start)
+    derivatives_of_fit(problem, ENTRIES, found)
+    np.testing.assert_array_equal(computed, [start, start])
+
+
+def test_derivatives_far_from_the_end_of_a_fit_are_computed_again():
+    problem, computed = Curve(), []
+    problem.tangents = lambda theta, d: computed.append(theta) or Curve.tangents(problem, theta, d)
+    found = fit_gauss_newton(problem, ENTRIES, np.array([3.5, 2.0]), np.arange(2))
+    derivatives_of_fit(problem, ENTRIES, found)
+    step = found.theta - computed[-1]
+    assert step @ np.linalg.inv(found.covariance) @ step < FRESH_DISTANCE**2
 
 
 class Wall(Curve):

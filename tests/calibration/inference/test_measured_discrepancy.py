@@ -115,11 +115,11 @@ def test_noise_alone_gives_the_discretisation_error():
         assert measure(problem, y).used < 0.012
 
 
-def test_an_error_of_second_order_is_extrapolated_to_its_size():
+def test_an_error_of_second_order_is_extrapolated_to_its_size_with_a_safety_factor():
     """The tare and the gain of a trial absorb errors of their shape."""
     problem, y = tank(0.0)
     fine, coarse = shifted(y, 0.01)
-    assert measure(problem, fine, coarse).lower_limit == pytest.approx(0.01, rel=0.05)
+    assert measure(problem, fine, coarse).lower_limit == pytest.approx(1.5 * 0.01, rel=0.05)
     absorbed = [3.0 + 1.2 * x for x in fine]
     assert measure(problem, fine, absorbed).lower_limit < 1e-9
 
@@ -157,7 +157,7 @@ def test_only_a_clear_fall_changes_the_noise():
 
 
 @pytest.mark.slow
-def test_the_extrapolated_error_is_right_within_a_factor_of_1_5():
+def test_the_lower_limit_is_1_to_2_5_times_the_error_of_coarse_meshes():
     experiment = load(ROOT / "docs" / "experiment.toml").with_values({"trials.0.duration": 2.0})
     trial, at = experiment.trials[0], T
     meshes = [Resolution(16, 50, 8e-3), Resolution(31, 100, 4e-3), Resolution(121, 400, 1e-3)]
@@ -173,7 +173,8 @@ def test_the_extrapolated_error_is_right_within_a_factor_of_1_5():
         y, error = fine[row_of(channel)], (finest - fine)[row_of(channel)]
         columns = np.stack([np.ones_like(y), y], axis=1)
         rest = error - columns @ np.linalg.lstsq(columns, error, rcond=None)[0]
-        assert found[channel] == pytest.approx(np.std(rest) / np.std(y), rel=0.5), channel
+        ratio = found[channel] * np.std(y) / np.std(rest)
+        assert 1.0 < ratio < 2.5, (channel, ratio)
 
 
 @pytest.mark.slow
