@@ -13,6 +13,7 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Readings, parameter
 
 WHY_FACTOR = "20 times the unit of a term is more than any known law adds"
+WHY_DRIFT = "a property that changes by its typical value in 1 s is no property"
 LIMIT_EXPONENT = 32
 """Exponent of the function `limited`. Compared with a hard limit, the result is 2 % smaller for an
 x at the limit, and 0.1 % smaller for an x at 90 % of the limit."""
@@ -21,6 +22,11 @@ x at the limit, and 0.1 % smaller for an x at 90 % of the limit."""
 def magnitude(x: Array, width: float) -> Array:
     """Returns |x| with a smooth corner at x = 0: sqrt(x^2 + width^2)."""
     return jnp.sqrt(x**2 + width**2)
+
+
+def signed_root(x: Array, width: float) -> Array:
+    """Returns sign(x) |x|^(1/2) with a smooth corner at x = 0: x/(x^2 + width^2)^(1/4)."""
+    return x / jnp.sqrt(magnitude(x, width))
 
 
 def limited(x: Array, inverse: Array) -> Array:
@@ -139,6 +145,12 @@ def even_powers(z: Array, factor: float | Scalar = 1.0) -> Basis:
     return factor * size, factor * size**2, factor * size**3
 
 
+def mixed_powers(z: Array, factor: float | Scalar = 1.0) -> Basis:
+    """Returns z, |z| and z^2, times `factor`. Beyond -1 and 1, each function is constant."""
+    z = jnp.clip(z, -1.0, 1.0)
+    return factor * z, factor * jnp.abs(z), factor * z**2
+
+
 def waves(z: Array, factor: float = 1.0) -> Basis:
     """Returns cos(pi z), cos(2 pi z) and cos(3 pi z), times `factor`, for z limited to 0 to 1."""
     z = jnp.pi * jnp.clip(z, 0.0, 1.0)
@@ -161,15 +173,54 @@ class Powers(eqx.Module):
         return self.a * first + self.b * second + self.c * third
 
 
-class PartPowers(Powers):
-    """A sum of three functions of a state in one part of the robot."""
+class InPart(eqx.Module):
+    """A law that acts in one part of the robot."""
 
     part: ClassVar[str] = "body"
-    """Part of the robot, "body" or "tail"."""
+    """Part of the robot: "body", "tail" or "robot", which is both."""
 
     def cells(self, x: Section) -> Array:
         """Returns 1 in the cells of the part, and 0 in the other cells."""
+        if self.part == "robot":
+            return jnp.ones_like(x.in_tail)
         return x.in_tail if self.part == "tail" else 1.0 - x.in_tail
+
+
+class PartPowers(InPart, Powers):
+    """A sum of three functions of a state in one part of the robot."""
+
+
+class Drift(eqx.Module):
+    """a t + b t^2, with the time t of the trial."""
+
+    a: eqx.AbstractVar[Scalar]
+    b: eqx.AbstractVar[Scalar]
+
+    def basis(self, z: Array) -> tuple[Array, Array]:
+        """Returns the basis functions at the time z."""
+        return z, z**2
+
+    def drift(self, t: Array) -> Array:
+        """Returns a t + b t^2."""
+        first, second = self.basis(t)
+        return self.a * first + self.b * second
+
+
+class LocalDrift(InPart, Drift):
+    """A property of one part of the robot that changes during a trial."""
+
+    a: Scalar = parameter(0.0, -1.0, 1.0, "1/s", WHY_DRIFT)
+    """a, drift."""
+    b: Scalar = parameter(0.0, -1.0, 1.0, "1/s^2", WHY_DRIFT)
+    """b, change of the drift."""
+
+    def state(self, x: Section) -> Array:
+        """Returns the time in each cell."""
+        return jnp.expand_dims(x.t, -1) + jnp.zeros_like(x.s)
+
+    def in_cells(self, x: Section) -> Array:
+        """Returns a t + b t^2 in the cells of the part, and 0 in the other cells."""
+        return self.cells(x) * self.drift(self.state(x))
 
 
 class Sine(eqx.Module):

@@ -8,13 +8,25 @@ from jaxtyping import Array
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, Curve, parameter, shape_parameter
-from slider_jax.effects.functions import Basis, PartPowers, even_powers, magnitude, odd_powers
+from slider_jax.effects.functions import (
+    Basis,
+    LocalDrift,
+    PartPowers,
+    even_powers,
+    magnitude,
+    mixed_powers,
+    odd_powers,
+    signed_root,
+)
 
 CURVATURE, RATE, MOMENT = 3.0, 60.0, 0.05
 """Curvature [1/m], rate of the curvature [1/(m s)] and moment [N m] in a typical stride at 5 Hz.
 The parameter of a term of the rate is the term's M/EI at the rate `RATE`."""
 CORNER = 0.1
 """Width of the smooth corner, as a fraction of `RATE` or of the scale of the curvature."""
+ROOT_CORNER = 0.02
+"""Width of the smooth corner of the square root, as a fraction of `RATE`. The slope at the rate 0
+is then 7/`RATE`, less than the slope of dry friction."""
 WHY = "the elastic moment divided by EI is 3 1/m at kappa = 3 1/m"
 
 
@@ -146,6 +158,15 @@ class MomentOfRateQuadratic(MomentOfRateTerm):
         return z * jnp.abs(z) / RATE**2
 
 
+class MomentOfRateRoot(MomentOfRateTerm):
+    """M = EI a r/(r^2 + w^2)^(1/4) with w = 0.02 and the rate r in units of `RATE`."""
+
+    title = "moment of the square root of the rate of curvature"
+
+    def basis(self, z):
+        return signed_root(z / RATE, ROOT_CORNER)
+
+
 class MomentOfRateSaturated(MomentOfRateTerm):
     """M = EI a r/(r^2 + w^2)^(1/2) with w = 0.1 and the rate r in units of `RATE`: dry friction."""
 
@@ -219,11 +240,10 @@ class DampingOfTail(DampingTerm):
         return self.dampings(z)
 
 
-class PressureMomentTerm(PartPowers, BendingMoment):
-    """M is a function of the pressure of the chamber."""
+class ChamberTerm(PartPowers, BendingMoment):
+    """A moment that depends on a function of the pressure of the chamber."""
 
     segments = ("body",)
-    term_curve = Curve("pressure of the chamber", "Pa", "moment M", "N m")
 
     scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", "the pressures of a soft robot")
     """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
@@ -237,8 +257,18 @@ class PressureMomentTerm(PartPowers, BendingMoment):
     def basis(self, z: Array) -> Basis:
         """Returns the basis functions at the pressure z [Pa]."""
 
+    def of_pressure(self, x: Section) -> Array:
+        """Returns the function of the pressure in the body, and 0 in the tail."""
+        return self.cells(x) * self.total(self.basis(self.state(x)))
+
+
+class PressureMomentTerm(ChamberTerm):
+    """M is a function of the pressure."""
+
+    term_curve = Curve("pressure of the chamber", "Pa", "moment M", "N m")
+
     def moment(self, x, memory, dt):
-        return self.cells(x) * self.total(self.basis(self.state(x))), memory
+        return self.of_pressure(x), memory
 
 
 class MomentOfPressure(PressureMomentTerm):
@@ -259,3 +289,41 @@ class MomentOfPressureBySide(PressureMomentTerm):
 
     def basis(self, z):
         return even_powers(z / self.scale, MOMENT)
+
+
+class DampingOfPressure(ChamberTerm):
+    """M = EI f(p) d(kappa)/dt in the body, with the pressure p of the chamber.
+
+    f is a sum of p, |p| and p^2. The term `moment_of_rate` describes a constant f.
+    """
+
+    title = "damping of the body that depends on the pressure"
+    term_curve = Curve("pressure of the chamber", "Pa", "damping time", "s")
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale, CURVATURE / RATE)
+
+    def moment(self, x, memory, dt):
+        return x.EI * self.of_pressure(x) * x.kappa_t, memory
+
+
+class StiffnessDrift(LocalDrift, BendingMoment):
+    """M = EI (a t + b t^2) kappa in the body, with the time t of the trial."""
+
+    title = "stiffness of the body that drifts during a trial"
+    segments = ("body",)
+    term_curve = Curve("time t", "s", "change of the stiffness divided by EI", "-")
+
+    def moment(self, x, memory, dt):
+        return x.EI * self.in_cells(x) * x.kappa, memory
+
+
+class DampingDrift(LocalDrift, BendingMoment):
+    """M = EI c (a t + b t^2) d(kappa)/dt in the body, with c = 0.05 s and the time t."""
+
+    title = "damping of the body that drifts during a trial"
+    segments = ("body",)
+    term_curve = Curve("time t", "s", "change of the damping time divided by 0.05 s", "-")
+
+    def moment(self, x, memory, dt):
+        return x.EI * CURVATURE / RATE * self.in_cells(x) * x.kappa_t, memory

@@ -7,7 +7,7 @@ from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Curve, Flow, shape_parameter
-from slider_jax.effects.functions import Basis, Powers, even_powers, magnitude, odd_powers
+from slider_jax.effects.functions import Basis, Powers, even_powers, odd_powers, signed_root
 
 CORNER = 0.02
 """Width of the smooth corner of the square root, as a fraction of the largest difference."""
@@ -90,8 +90,8 @@ class FlowOfDifference(DifferenceTerm):
     def basis(self, z):
         # A linear function would be the lag of the base model, so a square root replaces it.
         e = jnp.clip(z / self.scale, -1.0, 1.0)
-        linear, quadratic, cubic = odd_powers(e)
-        return RATE * linear / jnp.sqrt(magnitude(e, CORNER)), RATE * quadratic, RATE * cubic
+        _, quadratic, cubic = odd_powers(e, RATE)
+        return RATE * signed_root(e, CORNER), quadratic, cubic
 
     def factor(self, x):
         return jnp.ones_like(x.p)

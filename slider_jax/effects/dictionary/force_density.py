@@ -1,6 +1,7 @@
 """Terms of the force per length on body and tail."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -8,7 +9,14 @@ from jaxtyping import Array
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, ForceDensity, parameter, shape_parameter
-from slider_jax.effects.functions import Basis, PartPowers, Powers, even_powers, odd_powers, waves
+from slider_jax.effects.functions import (
+    Basis,
+    LocalDrift,
+    PartPowers,
+    even_powers,
+    odd_powers,
+    waves,
+)
 
 SPEED, ACCELERATION, CURVATURE = 0.5, 10.0, 3.0
 """Lateral speed [m/s], lateral acceleration [m/s^2] and curvature [1/m] in a typical stride (5 Hz).
@@ -16,11 +24,28 @@ The parameter of a term with a factor for each part is the force at the term's v
 FORCE = 10.0
 """Force per length [N/m], about the drag of the crossflow at 0.5 m/s with C_d = 3."""
 WHY = "the drag of the crossflow at 0.5 m/s is 11 N/m with C_d = 3"
+AXIAL = Curve("lateral velocity u_n", "m/s", "axial force F_tau", "N/m")
 VELOCITY = Curve("lateral velocity u_n", "m/s", "normal force F_n", "N/m")
 
 
 class ForceTerm(ForceDensity):
-    """A force per length that is a function of a local state z, with one factor for each part."""
+    """A force per length, either along the axis or normal to it."""
+
+    axial: ClassVar[bool] = False
+    """Whether the force is F_tau, along the axis. Otherwise, the force is F_n."""
+
+    @abstractmethod
+    def amount(self, x: Section) -> Array:
+        """Returns the force per length [N/m] in each cell."""
+
+    def force(self, x):
+        F = self.amount(x)
+        zero = jnp.zeros_like(F)
+        return (F, zero) if self.axial else (zero, F)
+
+
+class FactorTerm(ForceTerm):
+    """A force that is a function of a local state z, with one factor for each part."""
 
     body: Scalar = parameter(0.0, -20.0, 20.0, "N/m", WHY)
     """Factor on the body."""
@@ -35,24 +60,18 @@ class ForceTerm(ForceDensity):
     def basis(self, z: Array) -> Array:
         """Returns the function at the state z for a factor of 1."""
 
-    @abstractmethod
-    def direction(self) -> tuple[float, float]:
-        """Returns the direction (tau, n) of the force."""
-
-    def force(self, x):
-        F = (self.body + (self.tail - self.body) * x.in_tail) * self.basis(self.state(x))
-        tau, n = self.direction()
-        return tau * F, n * F
+    def amount(self, x):
+        return (self.body + (self.tail - self.body) * x.in_tail) * self.basis(self.state(x))
 
 
-class VelocityTerm(PartPowers, ForceDensity):
-    """F_n [N/m] is a function of the lateral velocity u_n in one part of the robot."""
+class VelocityTerm(PartPowers, ForceTerm):
+    """A force that is a function of the lateral velocity u_n in one part of the robot."""
 
     term_curve = VELOCITY
 
     scale: Scalar = shape_parameter(SPEED, 1e-3, 100.0, "m/s", "the speeds of a soft robot")
     """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
-    the visited |u_n|."""
+    the visited |velocity|."""
 
     def state(self, x: Section) -> Array:
         """Returns u_n in each cell."""
@@ -60,11 +79,10 @@ class VelocityTerm(PartPowers, ForceDensity):
 
     @abstractmethod
     def basis(self, z: Array) -> Basis:
-        """Returns the basis functions at the lateral velocity z."""
+        """Returns the basis functions at the velocity z."""
 
-    def force(self, x):
-        F = self.cells(x) * self.total(self.basis(self.state(x)))
-        return jnp.zeros_like(F), F
+    def amount(self, x):
+        return self.cells(x) * self.total(self.basis(self.state(x)))
 
 
 class NormalForceOnBody(VelocityTerm):
@@ -107,18 +125,20 @@ class NormalForceOnTailBySide(VelocityTerm):
         return even_powers(z / self.scale, FORCE)
 
 
-class DragAlongRobot(Powers, ForceDensity):
+def quadratic(u: Array) -> Array:
+    """Returns u |u|, with the velocity u in units of `SPEED`."""
+    return u * jnp.abs(u) / SPEED**2
+
+
+class DragAlongRobot(PartPowers, ForceTerm):
     """F_n = f(s) u_n |u_n|, with the position s along the robot and u_n in units of `SPEED`."""
 
     title = "drag that varies along the robot"
     term_curve = Curve("position s", "m", "normal force F_n at 0.5 m/s", "N/m")
+    part = "robot"
 
     scale: Scalar = shape_parameter(0.4, 1e-2, 100.0, "m", "the lengths of soft robots")
     """Length of the robot. A learned function uses the 99.5 % quantile of s."""
-
-    def cells(self, x: Section) -> Array:
-        """Returns 1 in each cell."""
-        return jnp.ones_like(x.s)
 
     def state(self, x: Section) -> Array:
         """Returns the position of each cell."""
@@ -128,13 +148,11 @@ class DragAlongRobot(Powers, ForceDensity):
         """Returns the basis functions at the position z; C_d describes a constant f."""
         return waves(z / self.scale, FORCE)
 
-    def force(self, x):
-        u = x.u_n / SPEED
-        F = self.total(self.basis(self.state(x))) * u * jnp.abs(u)
-        return jnp.zeros_like(F), F
+    def amount(self, x):
+        return self.total(self.basis(self.state(x))) * quadratic(x.u_n)
 
 
-class NormalForceOfAcceleration(ForceTerm):
+class NormalForceOfAcceleration(FactorTerm):
     """F_n = a du_n/dt, with the acceleration in units of `ACCELERATION`."""
 
     title = "normal force proportional to the lateral acceleration"
@@ -146,11 +164,8 @@ class NormalForceOfAcceleration(ForceTerm):
     def basis(self, z):
         return z / ACCELERATION
 
-    def direction(self):
-        return 0.0, 1.0
 
-
-class NormalForceOfCurvature(ForceTerm):
+class NormalForceOfCurvature(FactorTerm):
     """F_n = a kappa u_n^2, with kappa in units of `CURVATURE` and u_n in units of `SPEED`."""
 
     title = "normal force of the flow along a curved body"
@@ -162,21 +177,63 @@ class NormalForceOfCurvature(ForceTerm):
     def basis(self, z):
         return z / (CURVATURE * SPEED**2)
 
-    def direction(self):
-        return 0.0, 1.0
 
+class AxialForceOnBody(VelocityTerm):
+    """F_tau is an even function of the lateral velocity u_n on the body."""
 
-class AxialForceQuadratic(ForceTerm):
-    """F_tau = a u_n^2, with the lateral velocity in units of `SPEED`."""
-
-    title = "axial force quadratic in the lateral velocity"
-    term_curve = Curve("lateral velocity u_n", "m/s", "axial force F_tau", "N/m")
-
-    def state(self, x):
-        return x.u_n
+    title = "axial force on the body that depends on the lateral velocity"
+    term_curve = AXIAL
+    axial = True
 
     def basis(self, z):
-        return (z / SPEED) ** 2
+        return even_powers(z / self.scale, FORCE)
 
-    def direction(self):
-        return 1.0, 0.0
+
+class AxialForceOnTail(VelocityTerm):
+    """F_tau is an even function of the lateral velocity u_n on the tail."""
+
+    title = "axial force on the tail that depends on the lateral velocity"
+    term_curve = AXIAL
+    axial, part = True, "tail"
+
+    def basis(self, z):
+        return even_powers(z / self.scale, FORCE)
+
+
+class AxialFriction(VelocityTerm):
+    """F_tau is an odd function of the axial velocity u_tau on the robot."""
+
+    title = "axial force that depends on the axial velocity"
+    term_curve = Curve("axial velocity u_tau", "m/s", "axial force F_tau", "N/m")
+    axial, part, resists_axially = True, "robot", True
+
+    def state(self, x):
+        return x.u_tau
+
+    def basis(self, z):
+        return odd_powers(z / self.scale, FORCE)
+
+
+class AxialFrictionOfCrossflow(FactorTerm):
+    """F_tau = a u_tau |u_n|, with u_tau and u_n in units of `SPEED`."""
+
+    title = "axial friction that grows with the lateral velocity"
+    term_curve = Curve("u_tau |u_n|", "m^2/s^2", "axial force F_tau", "N/m")
+    axial = resists_axially = True
+
+    def state(self, x):
+        return x.u_tau * jnp.abs(x.u_n)
+
+    def basis(self, z):
+        return z / SPEED**2
+
+
+class DragDrift(LocalDrift, ForceTerm):
+    """F_n = F (a t + b t^2) u_n |u_n| with F = 10 N/m, the time t, and u_n in units of `SPEED`."""
+
+    title = "drag that drifts during a trial"
+    term_curve = Curve("time t", "s", "change of F_n at 0.5 m/s, divided by 10 N/m", "-")
+    part = "robot"
+
+    def amount(self, x):
+        return FORCE * self.in_cells(x) * quadratic(x.u_n)

@@ -8,12 +8,22 @@ from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, Instrument, Readings, parameter, shape_parameter
-from slider_jax.effects.functions import Basis, Powers, Sine, even_powers, odd_powers
+from slider_jax.effects.functions import (
+    Basis,
+    Drift,
+    Powers,
+    Sine,
+    even_powers,
+    mixed_powers,
+    odd_powers,
+)
 
 WHY = "a sensor with an error as large as its scale is broken"
 OF_TIME = Curve("time t", "s", "change divided by the scale", "-")
 OF_PHASE = Curve("phase, the fraction of f t", "-", "change divided by the scale", "-")
 OF_READING = Curve("reading divided by its scale", "-", "change divided by the scale", "-")
+OF_PRESSURE = Curve("pressure divided by 100 kPa", "-", "change divided by the scale", "-")
+OF_TIP = Curve("tip position divided by 20 mm", "-", "change divided by the scale", "-")
 OF_GAIN = Curve("time t", "s", "change of the gain", "-")
 
 
@@ -24,6 +34,16 @@ class Sensor(NamedTuple):
     scale: float
     """Typical reading, in the unit of the sensor. All parameters are divided by this scale."""
 
+    def of(self, x: Readings) -> Array:
+        """Returns the readings (fields, n) of the sensor, divided by its scale."""
+        return jnp.stack([getattr(x, name) for name in self.names]) / self.scale
+
+
+PRESSURE = Sensor(("p_front", "p_rear"), 100e3)
+THRUST = Sensor(("thrust",), 0.2)
+RECOIL = Sensor(("recoil",), 1.0)
+TIP = Sensor(("tip",), 0.02)
+
 
 class SensorTerm(Instrument):
     """y_read = y + s f, with a function f and the scale s of the sensor."""
@@ -33,14 +53,14 @@ class SensorTerm(Instrument):
         """Returns the sensor whose readings change."""
 
     @abstractmethod
-    def change(self, z: Array, t: Array) -> Array:
-        """Returns f for readings z (divided by their scale) at the times `t` [s]."""
+    def change(self, z: Array, true: Readings) -> Array:
+        """Returns f for readings z (n,) of the sensor, divided by their scale."""
 
     def read(self, true):
         names, scale = self.sensor()
         series = {name: getattr(true, name) for name in names}
         return true._replace(
-            **{name: y + scale * self.change(y / scale, true.t) for name, y in series.items()}
+            **{name: y + scale * self.change(y / scale, true) for name, y in series.items()}
         )
 
 
@@ -50,7 +70,7 @@ class OfPressure:
     sensors: ClassVar[tuple[str, ...]] = ("pressure",)
 
     def sensor(self) -> Sensor:
-        return Sensor(("p_front", "p_rear"), 100e3)
+        return PRESSURE
 
 
 class OfThrust:
@@ -59,7 +79,7 @@ class OfThrust:
     sensors: ClassVar[tuple[str, ...]] = ("thrust",)
 
     def sensor(self) -> Sensor:
-        return Sensor(("thrust",), 0.2)
+        return THRUST
 
 
 class OfRecoil:
@@ -68,7 +88,7 @@ class OfRecoil:
     sensors: ClassVar[tuple[str, ...]] = ("recoil",)
 
     def sensor(self) -> Sensor:
-        return Sensor(("recoil",), 1.0)
+        return RECOIL
 
 
 class OfTip:
@@ -77,46 +97,69 @@ class OfTip:
     sensors: ClassVar[tuple[str, ...]] = ("tip",)
 
     def sensor(self) -> Sensor:
-        return Sensor(("tip",), 0.02)
+        return TIP
 
 
 class SensorPowers(Powers, SensorTerm):
-    """f is a sum of three powers of the reading."""
-
-    term_curve = OF_READING
+    """f is a sum of three functions of the reading of a sensor, the source."""
 
     scale: Scalar = shape_parameter(1.0, 1e-3, 1e3, "-", "the readings of a soft robot")
     """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
-    the predicted |readings|, divided by the sensor's scale."""
+    the predicted |readings| of the source, divided by the scale of the source."""
+
+    @abstractmethod
+    def source(self) -> Sensor:
+        """Returns the sensor on whose reading f depends."""
 
     def state(self, x: Readings) -> Array:
-        """Returns the readings divided by their scale."""
-        names, scale = self.sensor()
-        return jnp.stack([getattr(x, name) for name in names]) / scale
+        """Returns the readings of the source, divided by their scale."""
+        return self.source().of(x)
 
     @abstractmethod
     def basis(self, z: Array) -> Basis:
-        """Returns the basis functions at the reading z."""
+        """Returns the basis functions at the reading z of the source."""
 
-    def change(self, z, t):
+
+class OwnPowers(SensorPowers):
+    """f is a function of the sensor's own reading."""
+
+    term_curve = OF_READING
+
+    def source(self):
+        return self.sensor()
+
+    def change(self, z, true):
         return self.total(self.basis(z))
 
 
-class SensorOddPowers(SensorPowers):
+class SensorOddPowers(OwnPowers):
     """f is an odd function of the reading."""
 
     def basis(self, z):
         return odd_powers(z / self.scale)
 
 
-class SensorEvenPowers(SensorPowers):
+class SensorEvenPowers(OwnPowers):
     """f is an even function of the reading."""
 
     def basis(self, z):
         return even_powers(z / self.scale)
 
 
-class TimeTerm(SensorTerm):
+class OtherPowers(SensorPowers):
+    """f is a sum of q, |q| and q^2, where q is the reading of another sensor, the source.
+
+    If the source has two fields, as the pressure sensors have, f is the sum over both fields.
+    """
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale)
+
+    def change(self, z, true):
+        return self.total(self.basis(self.state(true))).sum(axis=0)
+
+
+class TimeTerm(Drift, SensorTerm):
     """f depends on a t + b t^2, with the time t of the trial."""
 
     a: Scalar = parameter(0.0, -1.0, 1.0, "1/s", WHY)
@@ -128,23 +171,14 @@ class TimeTerm(SensorTerm):
         """Returns the time [s]."""
         return x.t
 
-    def basis(self, z: Array) -> tuple[Array, Array]:
-        """Returns the basis functions at the time z."""
-        return z, z**2
-
-    def drift(self, t: Array) -> Array:
-        """Returns a t + b t^2."""
-        first, second = self.basis(t)
-        return self.a * first + self.b * second
-
 
 class SensorDrift(TimeTerm):
     """f = a t + b t^2."""
 
     term_curve = OF_TIME
 
-    def change(self, z, t):
-        return self.drift(t)
+    def change(self, z, true):
+        return self.drift(true.t)
 
 
 class SensorGainDrift(TimeTerm):
@@ -152,8 +186,8 @@ class SensorGainDrift(TimeTerm):
 
     term_curve = OF_GAIN
 
-    def change(self, z, t):
-        return z * self.drift(t)
+    def change(self, z, true):
+        return z * self.drift(true.t)
 
 
 class SensorSine(Sine, SensorTerm):
@@ -168,8 +202,8 @@ class SensorSine(Sine, SensorTerm):
     frequency: Scalar = shape_parameter(10.0, 0.1, 500.0, "Hz", "usual sample rates resolve these")
     """f, frequency of the most significant sine in the residual."""
 
-    def change(self, z, t):
-        return self.at(t)
+    def change(self, z, true):
+        return self.at(true.t)
 
 
 class PressureReadingPowers(OfPressure, SensorOddPowers):
@@ -232,6 +266,26 @@ class ThrustReadingSine(OfThrust, SensorSine):
     title = "a sine in the readings of the thrust sensor"
 
 
+class ThrustReadingOfPressure(OfThrust, OtherPowers):
+    """An error of the thrust sensor that is a function of the pressures."""
+
+    title = "error of the thrust sensor that depends on the pressures"
+    term_curve = OF_PRESSURE
+
+    def source(self):
+        return PRESSURE
+
+
+class ThrustReadingOfTip(OfThrust, OtherPowers):
+    """An error of the thrust sensor that is a function of the tip position."""
+
+    title = "error of the thrust sensor that depends on the tip position"
+    term_curve = OF_TIP
+
+    def source(self):
+        return TIP
+
+
 class RecoilReadingPowers(OfRecoil, SensorOddPowers):
     """An error that is an odd function of the reading of the recoil sensor."""
 
@@ -260,6 +314,26 @@ class RecoilReadingSine(OfRecoil, SensorSine):
     """A sine in the readings of the recoil sensor."""
 
     title = "a sine in the readings of the recoil sensor"
+
+
+class RecoilReadingOfPressure(OfRecoil, OtherPowers):
+    """An error of the recoil sensor that is a function of the pressures."""
+
+    title = "error of the recoil sensor that depends on the pressures"
+    term_curve = OF_PRESSURE
+
+    def source(self):
+        return PRESSURE
+
+
+class RecoilReadingOfTip(OfRecoil, OtherPowers):
+    """An error of the recoil sensor that is a function of the tip position."""
+
+    title = "error of the recoil sensor that depends on the tip position"
+    term_curve = OF_TIP
+
+    def source(self):
+        return TIP
 
 
 class TipReadingPowers(OfTip, SensorOddPowers):

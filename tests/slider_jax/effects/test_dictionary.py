@@ -11,7 +11,7 @@ import pytest
 from calibration.model.extended import candidate_effects
 from slider_jax.effects import Readings, dictionary
 from slider_jax.effects.check import checked_effects
-from slider_jax.effects.functions import Powers, even_powers, odd_powers
+from slider_jax.effects.functions import Powers, even_powers, mixed_powers, odd_powers
 from slider_jax.effects.library import DICTIONARY, LIBRARY
 from slider_jax.experiment.load import assemble
 from slider_jax.simulation.effect_signature import built_in_experiment
@@ -30,7 +30,7 @@ def test_terms_vanish_at_their_nulls_and_have_finite_tangents(name):
 
 
 def test_the_dictionary_is_no_part_of_the_library():
-    assert len(FILES) == 5 and len(DICTIONARY) == 49
+    assert len(FILES) == 5 and len(DICTIONARY) == 61
     assert not set(DICTIONARY) & (set(LIBRARY) | set(candidate_effects()))
 
 
@@ -41,8 +41,40 @@ def test_a_term_has_a_basis_function_for_every_parameter_or_for_every_part(name)
     assert np.isfinite(basis).all() and np.abs(basis).max() > 0.0
     if set(effect.priors()) == {"body", "tail"}:
         assert basis.shape == (5,)
+        assert effect.basis(jnp.zeros(())) == 0.0
     else:
         assert basis.shape == (len(effect.priors()), 5)
+
+
+Z = np.array([-1.0, -0.5, 0.0, 0.25, 1.0])
+"""States, in units of the largest visited state."""
+
+
+def section(**states):
+    """A section of five cells in motion; cells 3 and 4 are in the tail."""
+    zero, tail = jnp.zeros(5), jnp.array([0.0, 0.0, 0.0, 1.0, 1.0])
+    rest = dict.fromkeys(("u_n", "u_tau", "kappa", "kappa_t", "pressure", "s"), zero)
+    return SimpleNamespace(**rest | {"EI": 0.04, "in_tail": tail, "t": jnp.zeros(())} | states)
+
+
+def moment(name, x, **values):
+    """Moment of a term without a state, divided by EI."""
+    found, memory = DICTIONARY[name](**values).moment(x, jnp.full(5, 7.0), 1e-3)
+    assert (memory == 7.0).all()
+    return np.asarray(found) / x.EI
+
+
+def test_even_powers_are_the_absolute_value_the_square_and_the_absolute_cube():
+    """The expected values are literals, because another term could share an error."""
+    expected = [[1.0, 0.5, 0.0, 0.25, 1.0], [1.0, 0.25, 0.0, 0.0625, 1.0]]
+    expected.append([1.0, 0.125, 0.0, 0.015625, 1.0])
+    np.testing.assert_allclose(even_powers(jnp.asarray(Z), 2.0), 2.0 * np.array(expected))
+
+
+def test_mixed_powers_are_the_state_its_absolute_value_and_its_square():
+    expected = [Z, np.abs(Z), Z**2]
+    np.testing.assert_allclose(mixed_powers(jnp.asarray(Z), 3.0), 3.0 * np.array(expected))
+    np.testing.assert_allclose(mixed_powers(jnp.array(-4.0)), [-1.0, 1.0, 1.0])
 
 
 def test_powers_are_constant_beyond_the_largest_visited_state():
@@ -52,7 +84,7 @@ def test_powers_are_constant_beyond_the_largest_visited_state():
     np.testing.assert_allclose(odd, -odd[:, ::-1])
     np.testing.assert_allclose(even, np.abs(odd))
     scaled = [kind() for kind in DICTIONARY.values() if issubclass(kind, Powers)]
-    assert len(scaled) == 27
+    assert len(scaled) == 35
     for term in scaled:
         ends = np.asarray(term.basis(term.scale * jnp.array([-3.0, -1.0, 1.0, 3.0])))
         np.testing.assert_allclose(ends[:, [0, 3]], ends[:, [1, 2]])
@@ -76,6 +108,88 @@ def test_the_water_oscillates_along_one_axis(name, axis):
     expected = 0.1 * jnp.sin(angle) - 0.05 * jnp.cos(angle)
     np.testing.assert_allclose(velocity[axis], expected, atol=1e-12)
     np.testing.assert_array_equal(velocity[1 - axis], 0.0)
+
+
+@pytest.mark.parametrize(("name", "cells"), [("body", slice(3)), ("tail", slice(3, 5))])
+def test_the_axial_force_is_an_even_function_of_the_lateral_velocity(name, cells):
+    """The smallest power is linear in |u_n|; the parameters are in units of 10 N/m."""
+    term = DICTIONARY[f"axial_force_on_{name}"](a=0.2, b=-0.3, c=0.5, scale=0.8)
+    F_tau, F_n = term.force(section(u_n=jnp.asarray(0.8 * Z)))
+    expected = np.zeros(5)
+    expected[cells] = (2.0 * np.abs(Z) - 3.0 * Z**2 + 5.0 * np.abs(Z) ** 3)[cells]
+    np.testing.assert_allclose(F_tau, expected)
+    np.testing.assert_array_equal(F_n, 0.0)
+
+
+def test_axial_friction_depends_on_the_axial_velocity_of_the_whole_robot():
+    x = section(u_tau=jnp.asarray(0.4 * Z), u_n=jnp.full(5, -0.25))
+    F_tau, F_n = DICTIONARY["axial_friction"](a=0.2, b=-0.3, c=0.5, scale=0.4).force(x)
+    np.testing.assert_allclose(F_tau, 2.0 * Z - 3.0 * Z * np.abs(Z) + 5.0 * Z**3)
+    np.testing.assert_array_equal(F_n, 0.0)
+    F_tau, F_n = DICTIONARY["axial_friction_of_crossflow"](body=3.0, tail=-2.0).force(x)
+    np.testing.assert_allclose(F_tau, np.array([3.0, 3.0, 3.0, -2.0, -2.0]) * 0.4 * Z)
+    np.testing.assert_array_equal(F_n, 0.0)
+
+
+def test_the_moment_of_the_root_quadruples_if_the_rate_is_sixteen_times_as_large():
+    rates = jnp.array([-960.0, -60.0, 0.0, 60.0, 960.0])
+    found = moment("moment_of_rate_root", section(kappa_t=rates), body=2.0, tail=-1.0)
+    np.testing.assert_allclose(found, [-8.0, -2.0, 0.0, -1.0, -4.0], rtol=2e-4)
+
+
+def test_the_damping_depends_on_the_pressure_of_the_chamber():
+    """The damping time is 0.05 s times the sum of q, |q| and q^2; the tail has no chamber."""
+    x = section(pressure=jnp.asarray(150e3 * Z), kappa_t=jnp.full(5, -20.0))
+    found = moment("damping_of_pressure", x, a=0.1, b=0.2, c=0.4, scale=150e3)
+    expected = -20.0 * 0.05 * (0.1 * Z + 0.2 * np.abs(Z) + 0.4 * Z**2)
+    np.testing.assert_allclose(found, np.where(x.in_tail, 0.0, expected))
+    assert not moment("damping_of_pressure", section(pressure=x.pressure), b=1.0).any()
+
+
+def test_local_drifts_are_polynomials_of_the_time():
+    x = section(t=jnp.asarray(2.0), kappa=3.0 * Z, kappa_t=60.0 * Z, u_n=0.5 * Z)
+    drift, body = 2.0 * 0.1 - 4.0 * 0.02, 1.0 - np.asarray(x.in_tail)
+    for name in ("stiffness_drift", "damping_drift"):
+        np.testing.assert_allclose(moment(name, x, a=0.1, b=-0.02), 3.0 * drift * body * Z)
+    F_tau, F_n = DICTIONARY["drag_drift"](a=0.1, b=-0.02).force(x)
+    np.testing.assert_allclose(F_n, 10.0 * drift * Z * np.abs(Z))
+    np.testing.assert_array_equal(F_tau, 0.0)
+
+
+OTHERS = [(s, o) for s in ("thrust", "recoil") for o in ("pressure", "tip")]
+
+
+@pytest.mark.parametrize(("sensor", "other"), OTHERS)
+def test_the_error_of_a_force_sensor_depends_on_another_channel(sensor, other):
+    """A pressure is in units of 100 kPa, a tip position in units of 20 mm."""
+    y = np.linspace(0.3, 0.7, 5)
+    true = Readings(jnp.arange(5.0), 1e5 * Z, -2e5 * Z, 0.4 * y, y, 0.02 * Z)
+    term = DICTIONARY[f"{sensor}_reading_of_{other}"](a=0.1, b=0.2, c=0.4, scale=2.0)
+    read = term.read(true)
+    parts = [0.5 * Z, -Z] if other == "pressure" else [0.5 * Z]
+    error = sum(0.1 * q + 0.2 * np.abs(q) + 0.4 * q**2 for q in parts)
+    scale = {"thrust": 0.2, "recoil": 1.0}[sensor]
+    np.testing.assert_allclose(getattr(read, sensor), getattr(true, sensor) + scale * error)
+    for name in set(true._fields) - {sensor}:
+        np.testing.assert_array_equal(getattr(read, name), getattr(true, name))
+    last = term.read_sample(true, Readings(*(x[:-1] for x in read)))
+    np.testing.assert_allclose(last, [x[-1] for x in read])
+
+
+SINES = [k for k, kind in DICTIONARY.items() if "frequency" in kind.shapes()]
+
+
+@pytest.mark.parametrize("name", SINES)
+def test_a_sine_repeats_with_the_period_of_its_frequency(name):
+    """The curve of a report shows the sine over the phase, the fraction of f t."""
+    term, t = DICTIONARY[name](a=0.3, b=-0.4, frequency=2.5), jnp.linspace(0.0, 1.6, 17)
+    np.testing.assert_allclose(term.at(t + 0.4), term.at(t), atol=1e-12)
+    np.testing.assert_allclose(term.at(t + 0.2), -term.at(t), atol=1e-12)
+    np.testing.assert_allclose(term.at(jnp.array([0.0, 0.1])), [-0.4, 0.3], atol=1e-12)
+    phase = term.state(SimpleNamespace(t=t))
+    assert 0.0 <= float(phase.min()) and float(phase.max()) < 1.0
+    sine, cosine = term.basis(phase)
+    np.testing.assert_allclose(0.3 * sine - 0.4 * cosine, term.at(t), atol=1e-12)
 
 
 def test_damping_terms_have_the_stated_signs():
