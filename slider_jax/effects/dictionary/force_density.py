@@ -178,12 +178,16 @@ class NormalForceOfCurvature(FactorTerm):
         return z / (CURVATURE * SPEED**2)
 
 
-class AxialForceOnBody(VelocityTerm):
-    """F_tau is an even function of the lateral velocity u_n on the body."""
+class AxialForceOnRobot(VelocityTerm):
+    """F_tau is an even function of the lateral velocity u_n on the robot.
 
-    title = "axial force on the body that depends on the lateral velocity"
+    The thrust contains only the sum of the axial forces, so separate functions of body and tail are
+    difficult to distinguish. Most laws are the same on both, and need only this term.
+    """
+
+    title = "axial force on the robot that depends on the lateral velocity"
     term_curve = AXIAL
-    axial = True
+    axial, part = True, "robot"
 
     def basis(self, z):
         return even_powers(z / self.scale, FORCE)
