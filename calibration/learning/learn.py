@@ -11,7 +11,6 @@ from functools import cached_property
 import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome, growth_of_error
-from calibration.discrepancy.localise import locate_residuals
 from calibration.discrepancy.refits import Refits, effect_tangents
 from calibration.discrepancy.rounds import Growth, relative_changes, scoring_entries
 from calibration.discrepancy.verdict import PARTLY, UNEXPLAINED, channels_above_floor
@@ -19,6 +18,7 @@ from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, channel_errors, tested_excess
 from calibration.inference.problem import Swing, TankProblem, total
 from calibration.inference.uncertainty import widen_by_correlation
+from calibration.learning.frequencies import SinePeak, sine_peaks
 from calibration.learning.pursuit import (
     MIN_HALF,
     PlaceGain,
@@ -30,7 +30,6 @@ from calibration.learning.pursuit import (
 from calibration.learning.states import largest_states
 from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
 from calibration.model.plan import TrialPlan
-from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import DICTIONARY
 
 Progress = Callable[[str], None]
@@ -101,12 +100,13 @@ class Dictionary:
                 found.part(outcome.used_trials), entries, theta, start.free, progress
             )
         theta = start.theta.copy()
-        frequencies = _frequencies(outcome, found, start)
+        floor = outcome.search.settings.noise_floor
+        peaks = sine_peaks(found.part(outcome.used_trials), start, floor)
         for i, p in enumerate(entries):
             if p.effect in DICTIONARY and p.is_shape:
-                lines = [frequencies[s] for s in DICTIONARY[p.effect].sensors if s in frequencies]
-                *_, frequency = min(lines, default=(1.0, 0.0, p.prior.null))
-                x = np.clip(scales.get(p.effect, frequency), p.prior.low, p.prior.high)
+                seen = [peaks[s] for s in DICTIONARY[p.effect].sensors if s in peaks]
+                peak = min(seen, default=SinePeak(1.0, 0.0, p.prior.null))
+                x = np.clip(scales.get(p.effect, peak.frequency), p.prior.low, p.prior.high)
                 theta[i] = x
                 if p.name == "frequency":
                     low, high = x / FREQUENCY_RANGE, x * FREQUENCY_RANGE
@@ -150,28 +150,6 @@ class Dictionary:
         refits = Refits(problem, self.entries, white, progress, settings)
         tangents = effect_tangents(problem, self.entries, theta, free, settings)
         return place_gains(refits, start, self.places, problem.whitened(tangents, white))
-
-
-def _frequencies(
-    outcome: LoopOutcome, problem: TankProblem, start: Fit
-) -> dict[str, tuple[float, float, float]]:
-    """Returns the most significant sine in the residual of each sensor.
-
-    The result contains the p-value, minus the share of the sum of squares, and the frequency [Hz].
-    Without a significant sine, the p-value is 1, the share is 0, and the frequency is that of the
-    largest peak.
-    """
-    part, found = problem.part(outcome.used_trials), dict[str, tuple[float, float, float]]()
-    left = tested_excess(part, start)
-    floor = outcome.search.settings.noise_floor
-    for x in locate_residuals(part.records, start.predicted, left, floor):
-        channel = x["channel"]
-        sensor = "pressure" if CHANNELS[channel].kind == "pressure" else channel
-        lines = [p for p in left[channel].patterns if p.has_line]
-        if lines:
-            found[sensor] = min((p.line_p, -p.line, p.frequency_Hz) for p in lines)
-        found.setdefault(sensor, (1.0, 0.0, x["in_worst_trial"]["peak_Hz"]))
-    return found
 
 
 @dataclass(frozen=True)

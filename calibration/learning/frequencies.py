@@ -1,0 +1,90 @@
+"""Searches the frequency of a sine in the residuals of all trials."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.discrepancy.localise import locate_residuals
+from calibration.inference.gauss_newton import Fit
+from calibration.inference.goodness import tested_excess
+from calibration.inference.problem import TankProblem
+from slider_jax.channels import CHANNELS
+
+MOST_PERIODS = 20
+"""Largest number of periods of a common sine in the longest trial. The spectrum of a single trial
+determines the frequency of a faster sine."""
+PER_INTERVAL = 8
+"""Number of tested frequencies per Fourier interval of the longest trial."""
+
+
+class SinePeak(NamedTuple):
+    """A sine in the residual of one sensor. The smallest of several peaks is the best one."""
+
+    p: float
+    """p-value of the sine, or 1 if no trial has a significant sine."""
+    minus_share: float
+    """Minus the share of the sine in the sum of squares."""
+    frequency: float
+    """Frequency [Hz]."""
+
+
+class WhiteSeries(NamedTuple):
+    """Times [s] (n,) of a trial's readings, their whitened residual (n,), and the whitener.
+
+    The whitener transforms series (k, n) of the readings to whitened series (k, n).
+    """
+
+    t: np.ndarray
+    residual: np.ndarray
+    whiten: Callable[[np.ndarray], np.ndarray]
+
+
+def common_sine(series: Sequence[WhiteSeries]) -> tuple[float, float]:
+    """Returns share and frequency [Hz] of the sine that explains most of all series together.
+
+    The sine has the same amplitude and phase in all trials, as a sine of the dictionary has. The
+    share is the reduction of the sum of squares, divided by the sum of squares. A trial that
+    contains less than two periods does not determine the frequency. Several trials together can
+    determine it, because their noises and drives differ.
+    """
+    longest = max(float(np.ptp(x.t)) for x in series)
+    hertz = np.arange(PER_INTERVAL, MOST_PERIODS * PER_INTERVAL + 1) / (PER_INTERVAL * longest)
+    A, b, square = np.zeros((len(hertz), 2, 2)), np.zeros((len(hertz), 2)), 0.0
+    for x in series:
+        turn = 2.0 * np.pi * hertz[:, None] * x.t
+        both = np.concatenate([np.sin(turn), np.cos(turn)])
+        white = x.whiten(both).reshape(2, len(hertz), -1)
+        A += np.einsum("ifn,jfn->fij", white, white)
+        b += np.einsum("ifn,n->fi", white, x.residual)
+        square += float(x.residual @ x.residual)
+    gain = np.einsum("fi,fi->f", b, np.linalg.solve(A, b[:, :, None])[:, :, 0])
+    best = int(np.argmax(gain))
+    return float(gain[best]) / square, float(hertz[best])
+
+
+def sine_peaks(part: TankProblem, fit: Fit, noise_floor: float) -> dict[str, SinePeak]:
+    """Returns the most significant sine in the residual of each sensor above the `noise_floor`.
+
+    `fit` is a fit to the trials of `part`. If no trial has a significant sine, the result is the
+    sine that explains most of all trials together.
+    """
+    found = dict[str, SinePeak]()
+    left, white = tested_excess(part, fit), part.whiteners(fit.predicted)
+    residuals = part.residuals(fit.predicted, white)
+    for x in locate_residuals(part.records, fit.predicted, left, noise_floor):
+        channel = x["channel"]
+        sensor = "pressure" if CHANNELS[channel].kind == "pressure" else channel
+        lines = [p for p in left[channel].patterns if p.has_line]
+        if lines:
+            peak = min(SinePeak(p.line_p, -p.line, p.frequency_Hz) for p in lines)
+        else:
+            series = [
+                WhiteSeries(part.records[i].t[part.records[i].there(channel)], r, white[i, channel])
+                for (i, name), r in residuals.items()
+                if name == channel
+            ]
+            share, frequency = common_sine(series)
+            peak = SinePeak(1.0, -share, frequency)
+        found[sensor] = min(peak, found.get(sensor, peak))
+    return found
