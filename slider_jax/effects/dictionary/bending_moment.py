@@ -14,6 +14,7 @@ from slider_jax.effects.functions import (
     PartPowers,
     even_powers,
     magnitude,
+    mixed_powers,
     odd_powers,
     signed_root,
 )
@@ -291,16 +292,16 @@ class MomentOfPressureBySide(PressureMomentTerm):
 
 
 class DampingOfPressure(ChamberTerm):
-    """M = EI f(|p|) d(kappa)/dt in the body, with the pressure p of the chamber.
+    """M = EI f(p) d(kappa)/dt in the body, with the pressure p of the chamber.
 
-    f is a sum of |p|, p^2 and |p|^3. The term `moment_of_rate` describes a constant f.
+    f is a sum of p, |p| and p^2. The term `moment_of_rate` describes a constant f.
     """
 
     title = "damping of the body that depends on the pressure"
     term_curve = Curve("pressure of the chamber", "Pa", "damping time", "s")
 
     def basis(self, z):
-        return even_powers(z / self.scale, CURVATURE / RATE)
+        return mixed_powers(z / self.scale, CURVATURE / RATE)
 
     def moment(self, x, memory, dt):
         return x.EI * self.of_pressure(x) * x.kappa_t, memory
