@@ -1,13 +1,18 @@
 """The `slider` command: finds the subcommand, prepares JAX, and turns errors into messages."""
 
+import ctypes
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from slider_jax.cli.commands import COMMANDS, function_of, rig_error
 from slider_jax.errors import InputError, SolverError, did_you_mean
 
+M_ARENA_MAX, MEMORY_POOLS = -8, 4
+"""Setting of GNU libc, and its value. With four pools, the first `slider close-loop` on a computer
+takes 5 % longer. Its largest memory is 1.8 GB instead of 2.3 GB."""
 _GROUPS = {name.split()[0] for name in COMMANDS if " " in name} - {
     name for name, command in COMMANDS.items() if command.alone
 }
@@ -33,6 +38,7 @@ def prepare_jax() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from slider_jax.precision import enable_float64
 
+    _limit_memory_pools()
     enable_float64()
     if os.environ.get("SLIDER_CACHE") == "off":
         return
@@ -42,6 +48,16 @@ def prepare_jax() -> None:
     folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(home / "slider_jax")
     jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def _limit_memory_pools() -> None:
+    """Limits the number of memory pools of the C library GNU libc, if the program uses it.
+
+    By default, this library gives each thread a pool of its own, and a pool keeps the memory that
+    its thread freed. The compiler's threads then need 2.3 GB instead of 1.8 GB.
+    """
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(M_ARENA_MAX, MEMORY_POOLS)
 
 
 def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
