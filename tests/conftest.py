@@ -5,7 +5,7 @@ import gc
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from pathlib import Path
 
@@ -124,6 +124,12 @@ def few_memory_maps():
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > 40_000:
         jax.clear_caches()
+
+
+@pytest.fixture(autouse=True)
+def no_kept_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands in this process keep no programs, because a test may have changed a function."""
+    monkeypatch.setattr("calibration.model.stored_programs.kept_programs", nullcontext)
 
 
 @pytest.fixture(scope="session")

@@ -98,7 +98,10 @@ def fix_undetermined_shapes(
         widest = max(widths, key=lambda i: widths[i])
         theta = fit.theta.copy()
         theta[widest] = entries[widest].prior.null
-        fixed = refit(fit._replace(theta=theta, free=fit.free[fit.free != widest]), entries)
+        fixed = refit(
+            fit._replace(theta=theta, free=fit.free[fit.free != widest], linearised_at=None),
+            entries,
+        )
         if fixed.converged and (fixed.square - fit.square) / fit.inflation < least:
             fit = fixed
         else:

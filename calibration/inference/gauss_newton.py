@@ -90,8 +90,7 @@ class Fit(NamedTuple):
     """Change (k,) of the fitted entries by a discrepancy that repeats in all trials; 0 before
     `uncertainty.shift_by_discrepancy`."""
     linearised_at: np.ndarray | None = None
-    """Parameters near `theta` at which the derivatives of the readings were computed. None: there
-    are no such parameters."""
+    """Parameters near `theta` at which the fit computed the derivatives last, or None."""
 
     @property
     def inflation(self) -> float:
@@ -239,7 +238,10 @@ def fit_gauss_newton(
 def derivatives_of_fit(
     problem: AbstractProblem, entries: Sequence[Parameter], fit: Fit
 ) -> list[np.ndarray]:
-    """Returns `reading_derivatives` near the end of a fit, where they may be known already."""
+    """Returns `reading_derivatives` at `linearised_at`, or at `theta` if that is None.
+
+    The problem's cache contains the derivatives at `linearised_at`.
+    """
     at = fit.theta if fit.linearised_at is None else fit.linearised_at
     return reading_derivatives(problem, entries, at, fit.free)
 

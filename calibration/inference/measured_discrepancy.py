@@ -52,8 +52,8 @@ the extrapolated error of a channel was 0.66 to 1.2 times the error that was fou
 with twice the cells and time steps."""
 SAFETY = 1.5
 """Factor on the extrapolated error, which can be 0.66 times the actual error. Without this factor,
-the mesh error of 50 simulated trials was named as stress relaxation of the tail. A factor of 1.25
-is usual for three meshes (Roache, P. J. (1994), J. Fluids Eng. 116, 405-413)."""
+the loop named stress relaxation of the tail in 50 simulated trials. The cause was the mesh error of
+these trials."""
 PHASE_STEP = 0.5 * DISCREPANCY_TIME
 """The curves B are piecewise constant in time. Approximate duration of a constant piece [s]."""
 LONGEST_STRIDE = 2.56

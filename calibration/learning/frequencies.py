@@ -1,4 +1,4 @@
-"""Searches the frequency of a sine in the residuals of all trials."""
+"""Searches for the frequency of a sine in the residuals of all trials."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -40,27 +40,35 @@ class WhiteSeries(NamedTuple):
     whiten: Callable[[np.ndarray], np.ndarray]
 
 
-def common_sine(series: Sequence[WhiteSeries]) -> tuple[float, float]:
+def common_sine(series: Sequence[WhiteSeries], peak: float) -> tuple[float, float]:
     """Returns share and frequency [Hz] of the sine that explains most of all series together.
+
+    The tested frequencies have 1 to `MOST_PERIODS` periods in the longest series. The frequency
+    `peak` [Hz] of the largest peak in the spectrum of one series is tested too.
 
     The sine has the same amplitude and phase in all trials, as a sine of the dictionary has. The
     share is the reduction of the sum of squares, divided by the sum of squares. A trial that
-    contains less than two periods does not determine the frequency. Several trials together can
-    determine it, because their noises and drives differ.
+    contains fewer than two periods does not determine the frequency. Several trials together can
+    determine it, because each trial adds information on the common phase and frequency.
     """
     longest = max(float(np.ptp(x.t)) for x in series)
-    hertz = np.arange(PER_INTERVAL, MOST_PERIODS * PER_INTERVAL + 1) / (PER_INTERVAL * longest)
-    A, b, square = np.zeros((len(hertz), 2, 2)), np.zeros((len(hertz), 2)), 0.0
+    slow = np.arange(PER_INTERVAL, MOST_PERIODS * PER_INTERVAL + 1) / (PER_INTERVAL * longest)
+    hertz, square = np.append(slow, peak), sum(float(x.residual @ x.residual) for x in series)
+    gains = [_gain(series, f) for f in hertz]
+    best = int(np.argmax(gains))
+    return float(gains[best]) / square, float(hertz[best])
+
+
+def _gain(series: Sequence[WhiteSeries], frequency: float) -> float:
+    """Returns the reduction of the sum of squares by a sine of this frequency [Hz]."""
+    A, b = np.zeros((2, 2)), np.zeros(2)
     for x in series:
-        turn = 2.0 * np.pi * hertz[:, None] * x.t
-        both = np.concatenate([np.sin(turn), np.cos(turn)])
-        white = x.whiten(both).reshape(2, len(hertz), -1)
-        A += np.einsum("ifn,jfn->fij", white, white)
-        b += np.einsum("ifn,n->fi", white, x.residual)
-        square += float(x.residual @ x.residual)
-    gain = np.einsum("fi,fi->f", b, np.linalg.solve(A, b[:, :, None])[:, :, 0])
-    best = int(np.argmax(gain))
-    return float(gain[best]) / square, float(hertz[best])
+        turn = 2.0 * np.pi * frequency * x.t
+        white = x.whiten(np.stack([np.sin(turn), np.cos(turn)]))
+        A += white @ white.T
+        b += white @ x.residual
+    gain = float(b @ np.linalg.pinv(A, hermitian=True) @ b)
+    return gain if np.isfinite(gain) else 0.0
 
 
 def sine_peaks(part: TankProblem, fit: Fit, noise_floor: float) -> dict[str, SinePeak]:
@@ -84,7 +92,7 @@ def sine_peaks(part: TankProblem, fit: Fit, noise_floor: float) -> dict[str, Sin
                 for (i, name), r in residuals.items()
                 if name == channel
             ]
-            share, frequency = common_sine(series)
+            share, frequency = common_sine(series, x["in_worst_trial"]["peak_Hz"])
             peak = SinePeak(1.0, -share, frequency)
         found[sensor] = min(peak, found.get(sensor, peak))
     return found

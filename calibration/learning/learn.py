@@ -83,7 +83,10 @@ class Dictionary:
             if own is not None:
                 entries[i], theta[i] = outcome.entries[own], source.theta[own]
                 free += [i] if own in source.free else []
-        start, problem = source._replace(theta=theta, free=np.array(free)), outcome.problem
+        start, problem = (
+            source._replace(theta=theta, free=np.array(free), linearised_at=None),
+            outcome.problem,
+        )
 
         def plans(given: Sequence[TrialPlan]) -> list[TrialPlan]:
             return [replace(p, extended=replace(p.extended, effects=names)) for p in given]
@@ -111,7 +114,9 @@ class Dictionary:
                 if p.name == "frequency":
                     low, high = x / FREQUENCY_RANGE, x * FREQUENCY_RANGE
                     entries[i] = p._replace(prior=p.prior._replace(low=low, high=high))
-        return cls(outcome, list(effects), found, entries, start._replace(theta=theta))
+        return cls(
+            outcome, list(effects), found, entries, start._replace(theta=theta, linearised_at=None)
+        )
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ def compiled_once(function):
     jitted, locks, ready = eqx.filter_jit(function), defaultdict(Lock), {}
 
     def call(*arguments):
-        key = _kind_of(arguments)
+        key = call_signature(arguments)
         if key in ready:
             return ready[key](*arguments)
         with locks[key]:
@@ -41,10 +41,11 @@ def compiled_once(function):
     return call
 
 
-def _kind_of(arguments: tuple) -> Hashable:
+def call_signature(arguments: tuple) -> Hashable:
     """Returns the structure of `arguments`, the arrays' shapes and types, and all other values."""
     leaves, structure = jax.tree.flatten(arguments)
-    return structure, *((x.shape, x.dtype) if eqx.is_array(x) else x for x in leaves)
+    kinds = ((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in leaves if eqx.is_array(x))
+    return structure, *kinds, *(x for x in leaves if not eqx.is_array(x))
 
 
 def compiled_batch(function):

@@ -2,9 +2,9 @@
 
 JAX's own cache of compiled programs saves the compilation. JAX must still trace a program to find
 it there, and tracing the programs of `slider close-loop` takes longer than loading them. The name
-of a file is therefore a digest of everything that determines the program before tracing: the
-function, the structure of its arguments, the source files of the packages, the effect files, the
-versions of the libraries, the settings of JAX and XLA, and the processor.
+of a file here is a digest of the function, the structure of its arguments, the source files of both
+packages, the versions of the libraries, the settings of JAX and XLA, and the processor. Programs
+are not kept if effects of other files are loaded, because these files may import further files.
 """
 
 import hashlib
@@ -18,21 +18,23 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
-from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
 import calibration
 import slider_jax
 from slider_jax.io.files import effect_files, versions, write_bytes
 
+FOLDER = "slider_jax_programs"
+"""Name of the folder in the folder of JAX's cache."""
 UNUSED_DAYS = 14.0
-"""Programs of other versions of the source files are deleted after this time [days]."""
-_ADDRESS = re.compile(r" at 0x[0-9a-f]+")
+"""Programs of source files that no command used for this time [days] are deleted."""
+_VERSION = re.compile(r"[0-9a-f]{16}")
+_FUNCTION = re.compile(r"(<function .*?) at 0x[0-9a-f]+>")
 _folders: list[Path] = []
 _hits = threading.local()
 
@@ -40,18 +42,20 @@ _hits = threading.local()
 @contextmanager
 def kept_programs() -> Iterator[None]:
     """Keeps compiled programs beside JAX's cache of compiled programs, if that cache is in use."""
-    cache = jax.config.values["jax_compilation_cache_dir"]
-    if not cache or not jax.config.values["jax_enable_compilation_cache"]:
+    cache_folder = jax.config.values["jax_compilation_cache_dir"]
+    in_use = cache_folder and jax.config.values["jax_enable_compilation_cache"]
+    if not in_use or "://" in cache_folder or effect_files():
         yield
         return
     _count_cache_hits()
-    parent = Path(cache) / "programs"
-    folder = parent / source_digest()[:16]
+    parent = Path(cache_folder) / FOLDER
+    folder = parent / _version()
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
         for other in parent.iterdir():
-            if time.time() - other.stat().st_mtime > 86400.0 * UNUSED_DAYS:
+            age = time.time() - other.stat().st_mtime
+            if _VERSION.fullmatch(other.name) and age > 86400.0 * UNUSED_DAYS:
                 shutil.rmtree(other, ignore_errors=True)
     _folders.append(folder)
     try:
@@ -60,9 +64,12 @@ def kept_programs() -> Iterator[None]:
         _folders.pop()
 
 
-@lru_cache
+@cache
 def _count_cache_hits() -> None:
-    """Counts the programs that JAX's cache gives to each thread, because XLA cannot store them."""
+    """From the first call on, counts the programs that each thread loads from JAX's cache.
+
+    XLA cannot store such a program again.
+    """
 
     def count(event: str, **_: Any) -> None:
         if event == "/jax/compilation_cache/cache_hits":
@@ -73,6 +80,10 @@ def _count_cache_hits() -> None:
 
 def _cache_hits() -> int:
     return getattr(_hits, "count", 0)
+
+
+def _version() -> str:
+    return source_digest()[:16]
 
 
 def source_digest() -> str:
@@ -90,21 +101,24 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> Callable | N
     As in `equinox.filter_jit`, arrays may change in later calls, and all other arguments are fixed.
     Returns None if programs are not kept.
     """
-    if not _folders:
+    folders = list(_folders)  # another thread may end the context meanwhile
+    if not folders:
         return None
     dynamic, static = eqx.partition(tuple(arguments), eqx.is_array)
     leaves, structure = jax.tree.flatten(dynamic)
-    text = repr((function.__module__, function.__qualname__, structure, jax.tree.flatten(static)))
-    key = [_ADDRESS.sub("", text), [(x.shape, str(x.dtype)) for x in leaves], *_surroundings()]
-    digest = hashlib.sha256(json.dumps(key).encode()).hexdigest()
-    path = _folders[-1] / digest
-
+    name = f"{function.__module__}.{function.__qualname__}"
+    text = _FUNCTION.sub(r"\1>", repr((structure, jax.tree.flatten(static))))
+    if "<" in name or " at 0x" in text:  # the texts do not tell two such functions or objects apart
+        return None
+    shapes = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves]
+    key = json.dumps([name, text, shapes, versions(), _settings(), _processor()])
+    path = folders[-1] / hashlib.sha256(key.encode()).hexdigest()
     found = _loaded(path, leaves)
     if found is None:
         outs: list[Any] = []
 
-        def flat(*leaves):
-            out = function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
+        def flat(*given):
+            out = function(*eqx.combine(jax.tree.unflatten(structure, given), static))
             values, tree = jax.tree.flatten(out)
             outs[:] = [tree]
             return values
@@ -112,7 +126,7 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> Callable | N
         before = _cache_hits()
         compiled = jax.jit(flat).lower(*leaves).compile()
         found = compiled, outs[0]
-        if _cache_hits() == before:
+        if _cache_hits() == before and _version() == folders[-1].name:
             _store(path, *found)
     program, out = found
 
@@ -126,40 +140,43 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> Callable | N
 def _loaded(path: Path, leaves: Sequence[Any]) -> tuple[Callable, Any] | None:
     """Returns a stored program and the structure of its result, or None if there is none."""
     try:
-        content = path.read_bytes()
+        from jax.experimental.serialize_executable import deserialize_and_load
+
+        content = memoryview(path.read_bytes())
         if hashlib.sha256(content[32:]).digest() != content[:32]:
             return None
         program, example = pickle.loads(content[32:])
         inputs = jax.tree.structure((tuple(leaves), {}))
         values, out = jax.tree.flatten(example)
         loaded = deserialize_and_load(program, inputs, jax.tree.structure(values))
-        loaded(*leaves)
+        loaded(*leaves)  # an incomplete program fails in its first call
         return loaded, out
     except Exception:  # whatever is wrong with the file, the program is compiled again
         return None
 
 
 def _store(path: Path, compiled: Any, out: Any) -> None:
-    # A program that cannot be stored is compiled again by the next process.
-    with suppress(OSError, ValueError, NotImplementedError, pickle.PicklingError, TypeError):
+    with suppress(Exception):  # the next process compiles a program that cannot be stored
+        from jax.experimental.serialize_executable import serialize
+
         example = jax.tree.unflatten(out, range(out.num_leaves))
         content = pickle.dumps((serialize(compiled)[0], example))
         write_bytes(path, hashlib.sha256(content).digest() + content)
 
 
-@lru_cache
-def _surroundings() -> tuple[Any, ...]:
-    """Returns what else determines a compiled program: versions, settings, and the processor."""
-    processor = platform.processor() or platform.machine()
+def _settings() -> list[Any]:
+    """Returns the settings of JAX and XLA that can change a program."""
+    paths = ("cache", "dir", "dump", "log")
+    own = {k: str(x) for k, x in jax.config.values.items() if not any(p in k for p in paths)}
+    return [own, os.environ.get("XLA_FLAGS"), [str(x) for x in jax.devices()]]
+
+
+@cache
+def _processor() -> str:
+    """Returns the model and the features of the processor, or the name of the computer."""
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        processor = " ".join(x for x in lines if x.startswith(("model name", "flags")))
-    device = jax.devices()[0]
-    settings = {
-        name: str(jax.config.values[name])
-        for name in ("jax_enable_x64", "jax_numpy_dtype_promotion", "jax_default_matmul_precision")
-    }
-    return (
-        versions(), effect_files(), settings, os.environ.get("XLA_FLAGS"), device.platform,
-        device.device_kind, processor,
-    )  # fmt: skip
+        names = ("model name", "flags", "Features", "CPU implementer", "CPU part")
+        if found := sorted({x for x in lines if x.startswith(names)}):
+            return " ".join(found)
+    return f"{platform.machine()} {platform.processor()} {platform.node()}"

@@ -1,6 +1,7 @@
 """Functions that several effects share: smooth limits, powers, and delays, lags and resonances."""
 
 import math
+from abc import abstractmethod
 from typing import ClassVar
 
 import equinox as eqx
@@ -10,10 +11,10 @@ from jaxtyping import Array, Float
 
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Readings, parameter
+from slider_jax.effects.base import Readings, parameter, shape_parameter
 
 WHY_FACTOR = "20 times the unit of a term is more than any known law adds"
-WHY_DRIFT = "a property that changes by its typical value in 1 s is no property"
+WHY_DRIFT = "no property of a robot changes by more than its typical value during a trial"
 LIMIT_EXPONENT = 32
 """Exponent of the function `limited`. Compared with a hard limit, the result is 2 % smaller for an
 x at the limit, and 0.1 % smaller for an x at 90 % of the limit."""
@@ -191,35 +192,41 @@ class PartPowers(InPart, Powers):
 
 
 class Drift(eqx.Module):
-    """a t + b t^2, with the time t of the trial."""
+    """A sum of two functions of the time t of the trial, multiplied by a and b."""
 
     a: eqx.AbstractVar[Scalar]
     b: eqx.AbstractVar[Scalar]
 
+    @abstractmethod
     def basis(self, z: Array) -> tuple[Array, Array]:
         """Returns the basis functions at the time z."""
-        return z, z**2
 
     def drift(self, t: Array) -> Array:
-        """Returns a t + b t^2."""
+        """Returns the sum at the time t."""
         first, second = self.basis(t)
         return self.a * first + self.b * second
 
 
 class LocalDrift(InPart, Drift):
-    """A property of one part of the robot that changes during a trial."""
+    """A drift a q + b q^2 of a property of the robot, with q = t/scale and the time t."""
 
-    a: Scalar = parameter(0.0, -1.0, 1.0, "1/s", WHY_DRIFT)
+    a: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY_DRIFT)
     """a, drift."""
-    b: Scalar = parameter(0.0, -1.0, 1.0, "1/s^2", WHY_DRIFT)
+    b: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY_DRIFT)
     """b, change of the drift."""
+    scale: Scalar = shape_parameter(2.0, 1e-2, 1e5, "s", "the durations of trials")
+    """Time after which the drift is constant. A learned function uses the 99.5 % quantile of t."""
+
+    def basis(self, z):
+        q = jnp.clip(z / self.scale, 0.0, 1.0)
+        return q, q**2
 
     def state(self, x: Section) -> Array:
         """Returns the time in each cell."""
         return jnp.expand_dims(x.t, -1) + jnp.zeros_like(x.s)
 
     def in_cells(self, x: Section) -> Array:
-        """Returns a t + b t^2 in the cells of the part, and 0 in the other cells."""
+        """Returns the drift in the cells of the part, and 0 in the other cells."""
         return self.cells(x) * self.drift(self.state(x))
 
 

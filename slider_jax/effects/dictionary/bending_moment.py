@@ -308,7 +308,7 @@ class DampingOfPressure(ChamberTerm):
 
 
 class StiffnessDrift(LocalDrift, BendingMoment):
-    """M = EI (a t + b t^2) kappa in the body, with the time t of the trial."""
+    """M = EI (a q + b q^2) kappa in the body, with q = t/scale and the time t of the trial."""
 
     title = "stiffness of the body that drifts during a trial"
     segments = ("body",)
@@ -319,7 +319,7 @@ class StiffnessDrift(LocalDrift, BendingMoment):
 
 
 class DampingDrift(LocalDrift, BendingMoment):
-    """M = EI c (a t + b t^2) d(kappa)/dt in the body, with c = 0.05 s and the time t."""
+    """M = EI c (a q + b q^2) d(kappa)/dt in the body, with c = 0.05 s and q = t/scale."""
 
     title = "damping of the body that drifts during a trial"
     segments = ("body",)

@@ -209,7 +209,8 @@ class AxialFriction(VelocityTerm):
 
     title = "axial force that depends on the axial velocity"
     term_curve = Curve("axial velocity u_tau", "m/s", "axial force F_tau", "N/m")
-    axial, part, resists_axially = True, "robot", True
+    axial, resists_axially = True, True
+    part = "robot"
 
     def state(self, x):
         return x.u_tau
@@ -233,7 +234,7 @@ class AxialFrictionOfCrossflow(FactorTerm):
 
 
 class DragDrift(LocalDrift, ForceTerm):
-    """F_n = F (a t + b t^2) u_n |u_n| with F = 10 N/m, the time t, and u_n in units of `SPEED`."""
+    """F_n = F (a q + b q^2) u_n |u_n| with F = 10 N/m, q = t/scale, and u_n in units of `SPEED`."""
 
     title = "drag that drifts during a trial"
     term_curve = Curve("time t", "s", "change of F_n at 0.5 m/s, divided by 10 N/m", "-")

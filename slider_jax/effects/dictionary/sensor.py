@@ -171,6 +171,9 @@ class TimeTerm(Drift, SensorTerm):
         """Returns the time [s]."""
         return x.t
 
+    def basis(self, z):
+        return z, z**2
+
 
 class SensorDrift(TimeTerm):
     """f = a t + b t^2."""

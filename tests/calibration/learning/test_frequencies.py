@@ -22,7 +22,7 @@ def test_all_trials_together_determine_the_frequency(frequency):
     for seed in range(5):
         rng = np.random.default_rng(seed)
         trials = [series(rng, s, frequency, NOISE) for s in (1.0, 1.0, 1.2, 1.5, 1.7, 2.0)]
-        share, found = common_sine(trials)
+        share, found = common_sine(trials, 5.0)
         errors.append(found - frequency)
         assert share == pytest.approx(1.0 / 3.0, abs=0.1)
     assert np.abs(errors).max() < 0.07
@@ -30,5 +30,11 @@ def test_all_trials_together_determine_the_frequency(frequency):
 
 def test_noise_has_no_common_sine():
     rng = np.random.default_rng(1)
-    share, _ = common_sine([series(rng, 2.0, 1.0, 0.0) for _ in range(6)])
+    share, _ = common_sine([series(rng, 2.0, 1.0, 0.0) for _ in range(6)], 5.0)
     assert share < 0.02
+
+
+def test_a_fast_sine_is_found_at_the_peak_of_one_trial():
+    rng = np.random.default_rng(2)
+    _, found = common_sine([series(rng, 2.0, 31.0, NOISE) for _ in range(3)], 31.0)
+    assert found == 31.0

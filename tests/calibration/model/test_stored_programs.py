@@ -1,4 +1,4 @@
-"""Compiled programs in files: a later process loads them, and nothing else is ever loaded."""
+"""Compiled programs in files: a later process loads them, and no program of other sources."""
 
 import os
 import time
@@ -27,7 +27,7 @@ def folder(tmp_path):
     before = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     TRACED.clear()
-    yield tmp_path / "programs"
+    yield tmp_path / stored_programs.FOLDER
     jax.config.update("jax_compilation_cache_dir", before)
 
 
@@ -63,7 +63,7 @@ def test_a_batch_is_another_program_than_its_function(folder):
     x = jnp.arange(8.0).reshape(1, 8)
     later_process(x, 2.0)
     with kept_programs():
-        found = compiled_batch(lambda x: scaled(x, 2.0))((), x)
+        found = compiled_batch(scaled)((2.0,), x)
     np.testing.assert_array_equal(found["value"], 2.0 * x)
     assert len(files(folder)) == 2
 
@@ -89,16 +89,37 @@ def test_a_program_from_the_cache_of_jax_is_not_stored(folder):
     assert not files(folder)
 
 
-@pytest.mark.parametrize("changed", ["source_digest", "effect_files", "versions"])
-def test_programs_of_other_sources_effects_and_versions_are_not_loaded(
+@pytest.mark.parametrize("changed", ["source_digest", "versions", "_settings", "_processor"])
+def test_programs_of_other_sources_versions_and_settings_are_not_loaded(
     folder, changed, monkeypatch
 ):
     later_process(jnp.arange(4.0), 2.0)
-    monkeypatch.setattr(stored_programs, changed, lambda: "others")
-    stored_programs._surroundings.cache_clear()
+    monkeypatch.setattr(stored_programs, changed, lambda: 20 * "f")
     later_process(jnp.arange(4.0), 2.0)
-    stored_programs._surroundings.cache_clear()
     assert TRACED == [2.0, 2.0]
+
+
+def test_nothing_is_stored_while_effects_of_other_files_are_loaded(folder, monkeypatch):
+    monkeypatch.setattr(stored_programs, "effect_files", lambda: [{"path": "own.py"}])
+    later_process(jnp.arange(8.0), 2.0)
+    assert not files(folder)
+
+
+def test_nothing_is_stored_if_a_source_file_changed_meanwhile(folder, monkeypatch):
+    with kept_programs():
+        monkeypatch.setattr(stored_programs, "source_digest", lambda: 20 * "f")
+        compiled_once(scaled)(jnp.arange(9.0), 2.0)
+    assert not files(folder)
+
+
+def test_functions_and_objects_that_texts_do_not_tell_apart_are_not_stored(folder):
+    def nested(x, factor):
+        return factor * x
+
+    with kept_programs():
+        compiled_once(nested)(jnp.arange(4.0), 2.0)
+        compiled_once(lambda x, _: 2.0 * x)(jnp.arange(4.0), object())
+    assert not files(folder)
 
 
 def test_nothing_is_stored_outside_the_context_or_without_the_cache(folder):
@@ -112,9 +133,9 @@ def test_nothing_is_stored_outside_the_context_or_without_the_cache(folder):
 
 
 def test_programs_of_old_sources_are_deleted(folder):
-    old, recent = folder / "old", folder / "recent"
-    for path, days in ((old, UNUSED_DAYS + 1.0), (recent, UNUSED_DAYS - 1.0)):
+    old, recent, other = folder / (16 * "a"), folder / (16 * "b"), folder / "of_the_user"
+    for path, days in ((old, UNUSED_DAYS + 1.0), (recent, UNUSED_DAYS - 1.0), (other, 99.0)):
         path.mkdir(parents=True)
         os.utime(path, (time.time() - 86400.0 * days,) * 2)
     later_process(jnp.arange(4.0), 2.0)
-    assert not old.exists() and recent.exists()
+    assert not old.exists() and recent.exists() and other.exists()

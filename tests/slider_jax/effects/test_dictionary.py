@@ -146,12 +146,14 @@ def test_the_damping_depends_on_the_pressure_of_the_chamber():
     assert not moment("damping_of_pressure", section(pressure=x.pressure), b=1.0).any()
 
 
-def test_local_drifts_are_polynomials_of_the_time():
-    x = section(t=jnp.asarray(2.0), kappa=3.0 * Z, kappa_t=60.0 * Z, u_n=0.5 * Z)
-    drift, body = 2.0 * 0.1 - 4.0 * 0.02, 1.0 - np.asarray(x.in_tail)
+@pytest.mark.parametrize(("t", "q"), [(2.0, 0.5), (9.0, 1.0)])
+def test_local_drifts_are_polynomials_of_the_time_up_to_their_scale(t, q):
+    x = section(t=jnp.asarray(t), kappa=3.0 * Z, kappa_t=60.0 * Z, u_n=0.5 * Z)
+    drift, body = 0.1 * q - 0.02 * q**2, 1.0 - np.asarray(x.in_tail)
     for name in ("stiffness_drift", "damping_drift"):
-        np.testing.assert_allclose(moment(name, x, a=0.1, b=-0.02), 3.0 * drift * body * Z)
-    F_tau, F_n = DICTIONARY["drag_drift"](a=0.1, b=-0.02).force(x)
+        found = moment(name, x, a=0.1, b=-0.02, scale=4.0)
+        np.testing.assert_allclose(found, 3.0 * drift * body * Z)
+    F_tau, F_n = DICTIONARY["drag_drift"](a=0.1, b=-0.02, scale=4.0).force(x)
     np.testing.assert_allclose(F_n, 10.0 * drift * Z * np.abs(Z))
     np.testing.assert_array_equal(F_tau, 0.0)
 
