@@ -35,10 +35,14 @@ def files(folder):
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
-def later_process(x, factor, wrapper=compiled_once):
+def stored_once(function):
+    return compiled_once(function, stored=True)
+
+
+def later_process(x, factor):
     """Returns the result of a new wrapper, which has no program in memory."""
     with kept_programs():
-        return wrapper(scaled)(x, factor)
+        return stored_once(scaled)(x, factor)
 
 
 def test_a_later_process_loads_the_program_without_tracing(folder):
@@ -108,7 +112,7 @@ def test_nothing_is_stored_while_effects_of_other_files_are_loaded(folder, monke
 def test_nothing_is_stored_if_a_source_file_changed_meanwhile(folder, monkeypatch):
     with kept_programs():
         monkeypatch.setattr(stored_programs, "source_digest", lambda: 20 * "f")
-        compiled_once(scaled)(jnp.arange(9.0), 2.0)
+        stored_once(scaled)(jnp.arange(9.0), 2.0)
     assert not files(folder)
 
 
@@ -117,13 +121,13 @@ def test_functions_and_objects_that_texts_do_not_tell_apart_are_not_stored(folde
         return factor * x
 
     with kept_programs():
-        compiled_once(nested)(jnp.arange(4.0), 2.0)
-        compiled_once(lambda x, _: 2.0 * x)(jnp.arange(4.0), object())
+        stored_once(nested)(jnp.arange(4.0), 2.0)
+        stored_once(lambda x, _: 2.0 * x)(jnp.arange(4.0), object())
     assert not files(folder)
 
 
 def test_nothing_is_stored_outside_the_context_or_without_the_cache(folder):
-    compiled_once(scaled)(jnp.arange(6.0), 2.0)
+    stored_once(scaled)(jnp.arange(6.0), 2.0)
     jax.config.update("jax_enable_compilation_cache", False)
     try:
         later_process(jnp.arange(7.0), 2.0)
