@@ -28,7 +28,9 @@ def compiled_once(function, stored: bool = False):
     process stored it. Loaded programs for tangents run 1.6 times as long as compiled programs on
     two threads, so they are not stored.
     """
-    jitted, locks, ready = eqx.filter_jit(function), defaultdict(Lock), {}
+    jitted = eqx.filter_jit(function)
+    locks: dict[Hashable, Lock] = defaultdict(Lock)
+    ready: dict[Hashable, Callable] = {}
 
     def call(*arguments):
         key = call_signature(arguments)

@@ -7,6 +7,7 @@ packages, the versions of the libraries, the settings of JAX and XLA, and the pr
 are not kept if effects of other files are loaded, because these files may import further files.
 """
 
+import ctypes
 import hashlib
 import json
 import os
@@ -31,6 +32,8 @@ from slider_jax.io.files import effect_files, versions, write_bytes
 
 FOLDER = "slider_jax_programs"
 """Name of the folder in the folder of JAX's cache."""
+M_ARENA_MAX, MEMORY_POOLS = -8, 4
+"""Number of the parameter in `mallopt` of GNU libc, and the number of memory pools."""
 UNUSED_DAYS = 14.0
 """Programs of source files that no command used for this time [days] are deleted."""
 _VERSION = re.compile(r"[0-9a-f]{16}")
@@ -57,6 +60,8 @@ def kept_programs() -> Iterator[None]:
             age = time.time() - other.stat().st_mtime
             if _VERSION.fullmatch(other.name) and age > 86400.0 * UNUSED_DAYS:
                 shutil.rmtree(other, ignore_errors=True)
+        if not any(folder.iterdir()):
+            _limit_memory_pools()
     _folders.append(folder)
     try:
         yield
@@ -80,6 +85,20 @@ def _count_cache_hits() -> None:
 
 def _cache_hits() -> int:
     return getattr(_hits, "count", 0)
+
+
+def _limit_memory_pools() -> None:
+    """Limits the number of memory pools of GNU libc, unless the user has set `MALLOC_ARENA_MAX`.
+
+    By default, there are up to eight pools per core, and a pool keeps memory that was freed. On two
+    cores, a `slider close-loop` that compiles its programs needs 2.3 GB with the default, and
+    1.9 GB with four pools. The threads wait for each other more often, so a run that compiles
+    nothing keeps the default.
+    """
+    if "MALLOC_ARENA_MAX" in os.environ:
+        return
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(M_ARENA_MAX, MEMORY_POOLS)
 
 
 def _version() -> str:

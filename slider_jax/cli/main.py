@@ -1,17 +1,13 @@
 """The `slider` command: finds the subcommand, prepares JAX, and turns errors into messages."""
 
-import ctypes
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from slider_jax.cli.commands import COMMANDS, function_of, rig_error
 from slider_jax.errors import InputError, SolverError, did_you_mean
 
-M_ARENA_MAX, MEMORY_POOLS = -8, 4
-"""Number of the parameter in `mallopt` of GNU libc, and the number of memory pools."""
 _GROUPS = {name.split()[0] for name in COMMANDS if " " in name} - {
     name for name, command in COMMANDS.items() if command.alone
 }
@@ -37,7 +33,6 @@ def prepare_jax() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from slider_jax.precision import enable_float64
 
-    _limit_memory_pools()
     enable_float64()
     if os.environ.get("SLIDER_CACHE") == "off":
         return
@@ -47,19 +42,6 @@ def prepare_jax() -> None:
     folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(home / "slider_jax")
     jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-
-
-def _limit_memory_pools() -> None:
-    """Limits the number of memory pools of GNU libc, unless the user has set `MALLOC_ARENA_MAX`.
-
-    By default, there are up to eight pools per core, and a pool keeps memory that was freed. On two
-    cores, the first `slider close-loop` on a computer needs 2.3 GB with the default, and 1.9 GB
-    with four pools. It takes 5 % longer with four pools.
-    """
-    if "MALLOC_ARENA_MAX" in os.environ:
-        return
-    with suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).mallopt(M_ARENA_MAX, MEMORY_POOLS)
 
 
 def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
