@@ -26,7 +26,7 @@ from slider_jax.io.toml import toml_text
 
 REPEATABLE_RATIO = 1.3
 """The report states a repeatable error of the thrust if the error exceeds this multiple of the
-discrepancy's lower limit, which is twice the extrapolated discretisation error."""
+discrepancy's lower limit. This is about twice the extrapolated discretisation error."""
 
 
 def loop_record(

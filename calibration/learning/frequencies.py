@@ -19,14 +19,19 @@ PER_INTERVAL = 8
 
 
 class SinePeak(NamedTuple):
-    """A sine in the residual of one sensor. The smallest of several peaks is the best one."""
+    """A sine in the residual of one sensor."""
 
     p: float
     """p-value of the sine, or 1 if no trial has a significant sine."""
-    minus_share: float
-    """Minus the share of the sine in the sum of squares."""
+    share: float
+    """Share of the sine in the sum of squares."""
     frequency: float
     """Frequency [Hz]."""
+
+
+def best_peak(peaks: Sequence[SinePeak]) -> SinePeak:
+    """Returns the peak with the smallest p-value; among equal p-values, with the largest share."""
+    return min(peaks, key=lambda x: (x.p, -x.share))
 
 
 class WhiteSeries(NamedTuple):
@@ -84,15 +89,16 @@ def sine_peaks(part: TankProblem, fit: Fit, noise_floor: float) -> dict[str, Sin
         channel = x["channel"]
         sensor = "pressure" if CHANNELS[channel].kind == "pressure" else channel
         lines = [p for p in left[channel].patterns if p.has_line]
-        if lines:
-            peak = min(SinePeak(p.line_p, -p.line, p.frequency_Hz) for p in lines)
-        else:
+        peaks = [SinePeak(p.line_p, p.line, p.frequency_Hz) for p in lines]
+        if not peaks:
             series = [
                 WhiteSeries(part.records[i].t[part.records[i].there(channel)], r, white[i, channel])
                 for (i, name), r in residuals.items()
                 if name == channel
             ]
             share, frequency = common_sine(series, x["in_worst_trial"]["peak_Hz"])
-            peak = SinePeak(1.0, -share, frequency)
-        found[sensor] = min(peak, found.get(sensor, peak))
+            peaks = [SinePeak(1.0, share, frequency)]
+        if sensor in found:
+            peaks.append(found[sensor])
+        found[sensor] = best_peak(peaks)
     return found

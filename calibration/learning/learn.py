@@ -18,7 +18,7 @@ from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, channel_errors, tested_excess
 from calibration.inference.problem import Swing, TankProblem, total
 from calibration.inference.uncertainty import widen_by_correlation
-from calibration.learning.frequencies import SinePeak, sine_peaks
+from calibration.learning.frequencies import SinePeak, best_peak, sine_peaks
 from calibration.learning.pursuit import (
     MIN_HALF,
     PlaceGain,
@@ -108,7 +108,7 @@ class Dictionary:
         for i, p in enumerate(entries):
             if p.effect in DICTIONARY and p.is_shape:
                 seen = [peaks[s] for s in DICTIONARY[p.effect].sensors if s in peaks]
-                peak = min(seen, default=SinePeak(1.0, 0.0, p.prior.null))
+                peak = best_peak([*seen, SinePeak(1.0, 0.0, p.prior.null)])
                 x = np.clip(scales.get(p.effect, peak.frequency), p.prior.low, p.prior.high)
                 theta[i] = x
                 if p.name == "frequency":

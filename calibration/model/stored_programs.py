@@ -28,7 +28,7 @@ import jax
 
 import calibration
 import slider_jax
-from slider_jax.io.files import effect_files, versions, write_bytes
+from slider_jax.io.files import effect_files, read_with_digest, versions, write_with_digest
 
 FOLDER = "slider_jax_programs"
 """Name of the folder in the folder of JAX's cache."""
@@ -161,10 +161,7 @@ def _loaded(path: Path, leaves: Sequence[Any]) -> tuple[Callable, Any] | None:
     try:
         from jax.experimental.serialize_executable import deserialize_and_load
 
-        content = memoryview(path.read_bytes())
-        if hashlib.sha256(content[32:]).digest() != content[:32]:
-            return None
-        program, example = pickle.loads(content[32:])
+        program, example = pickle.loads(read_with_digest(path))
         inputs = jax.tree.structure((tuple(leaves), {}))
         values, out = jax.tree.flatten(example)
         loaded = deserialize_and_load(program, inputs, jax.tree.structure(values))
@@ -179,8 +176,7 @@ def _store(path: Path, compiled: Any, out: Any) -> None:
         from jax.experimental.serialize_executable import serialize
 
         example = jax.tree.unflatten(out, range(out.num_leaves))
-        content = pickle.dumps((serialize(compiled)[0], example))
-        write_bytes(path, hashlib.sha256(content).digest() + content)
+        write_with_digest(path, pickle.dumps((serialize(compiled)[0], example)))
 
 
 def _settings() -> list[Any]:

@@ -27,13 +27,14 @@ from calibration.model.predict import (
     PressureHistory,
     advance_block,
     advance_chambers,
+    begin_at_rest,
     body_readings,
     pressure_histories,
     read_series,
 )
 from slider_jax.beam.parameters import Numerics
 from slider_jax.dynamics.pressures import Chambers, start_chambers
-from slider_jax.dynamics.step import Carry, at_rest
+from slider_jax.dynamics.step import Carry
 from slider_jax.dynamics.time_schemes import Scheme
 from slider_jax.effects.library import KNOWN_EFFECTS
 from slider_jax.simulation.trial import run_chunks
@@ -41,7 +42,7 @@ from slider_jax.simulation.trial import run_chunks
 
 @compiled_once
 def _begin_along(extended: ExtendedModel, theta, directions, numerics: Numerics):
-    return with_tangents(lambda x: at_rest(extended.at(x), numerics), (theta,), (directions,))
+    return with_tangents(lambda x: begin_at_rest(extended, x, numerics), (theta,), (directions,))
 
 
 @compiled_once

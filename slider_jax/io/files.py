@@ -98,6 +98,22 @@ def write_bytes(path: Path | str, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
+def write_with_digest(path: Path | str, content: bytes) -> None:
+    """Writes `content` to `path` atomically, after its SHA-256 digest."""
+    write_bytes(path, hashlib.sha256(content).digest() + content)
+
+
+def read_with_digest(path: Path) -> memoryview:
+    """Returns the content of a file of `write_with_digest`.
+
+    Raises `ValueError` if the file is damaged.
+    """
+    content = memoryview(path.read_bytes())
+    if hashlib.sha256(content[32:]).digest() != content[:32]:
+        raise ValueError(f"{path}: the file is damaged")
+    return content[32:]
+
+
 def write_text(path: Path | str, text: str) -> None:
     """Writes `text` to `path` atomically, as UTF-8 and with unchanged line ends."""
     write_bytes(path, text.encode())

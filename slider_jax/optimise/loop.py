@@ -1,6 +1,5 @@
 """Runs an optimiser generation by generation, with a checkpoint after each generation."""
 
-import hashlib
 import io
 import json
 import time
@@ -13,7 +12,7 @@ import jax
 import numpy as np
 
 from slider_jax.errors import InputError
-from slider_jax.io.files import write_bytes
+from slider_jax.io.files import read_with_digest, write_with_digest
 from slider_jax.optimise.optimiser import Optimiser
 
 CHECKPOINT = "checkpoint.npz"
@@ -133,8 +132,7 @@ def _save(path: Path, state: Any, result: OptimisationResult, settings: dict[str
             "best": result.best, "members": result.population,
             "scores": result.scores}  # fmt: skip
     np.savez(buffer, allow_pickle=False, **kept, **leaves)
-    content = buffer.getvalue()
-    write_bytes(path, hashlib.sha256(content).digest() + content)
+    write_with_digest(path, buffer.getvalue())
 
 
 def _load(path: Path, state: Any, settings: dict[str, Any]) -> tuple[Any, OptimisationResult]:
@@ -144,10 +142,7 @@ def _load(path: Path, state: Any, settings: dict[str, Any]) -> tuple[Any, Optimi
         "start again, or restore the file from a copy"
     )
     try:
-        content = path.read_bytes()
-        if hashlib.sha256(content[32:]).digest() != content[:32]:
-            raise damaged
-        kept = np.load(io.BytesIO(content[32:]))
+        kept = np.load(io.BytesIO(read_with_digest(path)))
         record = json.loads(str(kept["said"]))
         leaves = [kept[name] for name in sorted(kept.files) if name.startswith("state_")]
         rows = kept["history"].tolist()

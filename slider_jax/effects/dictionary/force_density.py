@@ -181,8 +181,8 @@ class NormalForceOfCurvature(FactorTerm):
 class AxialForceOnRobot(VelocityTerm):
     """F_tau is an even function of the lateral velocity u_n on the robot.
 
-    The thrust contains only the sum of the axial forces, so separate functions of body and tail are
-    difficult to distinguish. Most laws are the same on both, and need only this term.
+    The thrust contains only the sum of the axial forces, so the data rarely discriminate between
+    separate functions of body and tail.
     """
 
     title = "axial force on the robot that depends on the lateral velocity"
