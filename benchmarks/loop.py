@@ -37,6 +37,7 @@ from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.inference.goodness import noise_floors, rms_errors
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.learning.learn import Learning, learn_terms
+from calibration.model.compiled import limit_memory_maps
 from calibration.model.extended import candidate_effects
 from slider_jax.cli.main import prepare_jax
 from slider_jax.effects.library import LIBRARY, load_effects
@@ -405,6 +406,7 @@ def main() -> None:
             record = run_case(case, candidates, compared, progress)
             write_json(path, {"case": case._asdict()} | record | {"versions": versions()})
             progress(f"{record.get('verdict', 'left out')}")
+            limit_memory_maps()
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ STILL_TANK = ("test_detectability.py", "test_next_experiment.py")
 import jax  # noqa: E402
 import pytest  # noqa: E402
 
+from calibration.model.compiled import limit_memory_maps  # noqa: E402
 from slider_jax.precision import enable_float64  # noqa: E402
 from tests.support.data import data_dir, missing_in_ci  # noqa: E402
 
@@ -115,15 +116,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.fixture(autouse=True, scope="module")
 def few_memory_maps():
-    """Drops compiled programs before the kernel refuses more memory maps (65,530 by default).
-
-    Each compiled program holds maps of its own. A process that runs most of the suite needs more
-    than the kernel gives, and XLA then aborts it.
-    """
+    """Drops compiled programs between files, because most of the suite runs in one process."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.exists() and len(maps.read_bytes().splitlines()) > 40_000:
-        jax.clear_caches()
+    limit_memory_maps()
 
 
 @pytest.fixture(autouse=True)

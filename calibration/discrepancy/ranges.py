@@ -83,7 +83,8 @@ def fix_undetermined_shapes(
     """Returns `fit`, repeated with undetermined shape parameters fixed at their defaults.
 
     The parameter with the widest interval is fixed first. A parameter stays free if the fit with
-    its default is significantly worse, because the data then contradict the default.
+    its default is significantly worse, because the data then contradict the default. There is no
+    such fit if the predicted loss is far above the limit.
     """
     settings, entries, kept = found.settings, found.entries, set[int]()
     least = settings.least_gain(2) - settings.least_gain(1)
@@ -98,6 +99,11 @@ def fix_undetermined_shapes(
         widest = max(widths, key=lambda i: widths[i])
         theta = fit.theta.copy()
         theta[widest] = entries[widest].prior.null
+        variance = np.diag(fit.covariance)[fit.free == widest].item()
+        loss = (theta[widest] - fit.theta[widest]) ** 2 / variance
+        if loss > settings.removal_loss_factor * least:
+            kept.add(widest)
+            continue
         fixed = refit(
             fit._replace(theta=theta, free=fit.free[fit.free != widest], linearised_at=None),
             entries,

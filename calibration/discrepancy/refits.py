@@ -9,6 +9,7 @@ import numpy as np
 from calibration.discrepancy.rounds import effect_entries, relative_changes, scoring_entries
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import (
+    SHARES,
     Bounds,
     Fit,
     broyden_update,
@@ -217,14 +218,21 @@ class Refits:
         """Returns each channel's rms change between two fits as a fraction of the channel's rms."""
         return relative_changes(self.problem, before.predicted, after.predicted)
 
-    def fit(self, theta: np.ndarray, free: np.ndarray, exact: bool = False) -> Fit:
+    def fit(
+        self,
+        theta: np.ndarray,
+        free: np.ndarray,
+        exact: bool = False,
+        least_decrease: Callable[[float], float] = lambda square: 0.0,
+    ) -> Fit:
         """Returns the fit of the parameters `free` (indices) that starts at `theta`.
 
         By default, the fit is not exact: the loop refits its final model to all trials.
         """
         return fit_gauss_newton(
-            self.problem, self.entries, theta, free, self.progress, self.white, exact
-        )
+            self.problem, self.entries, theta, free, self.progress, self.white, exact,
+            least_decrease,
+        )  # fmt: skip
 
     def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:
         """Returns theta with the parameters `group` (indices) at their null."""
@@ -253,6 +261,8 @@ class Refits:
         continued with free shape parameters. The result is the continued fit, or the fit with the
         defaults if the free parameters gain less than `least_gain` requires.
         """
+        if self.settings.complete_refits:
+            return [self._complete(current, x, tangents) for x in starts]
         shapes = [
             [int(i) for i in x.free if self.entries[i].is_shape and i not in current.free]
             for x in starts
@@ -280,6 +290,78 @@ class Refits:
         for (k, _), fit in zip(more, free, strict=True):
             chosen[k] = max(chosen[k], fit, key=lambda fit: self.surplus(current, fit))
         return chosen
+
+    def _complete(self, current: Fit, start: FitStart, tangents: Tangents) -> Fit:
+        """Returns the converged fit of `start`, with the best shape parameters."""
+        share = self.settings.complete_tolerance_share
+
+        def least_decrease(square: float) -> float:
+            return share * min(square, abs(current.square - square))
+
+        theta = self._complete_start(current, start, tangents)
+        for _ in range(self.settings.max_halvings):
+            found = self.fit(theta, start.free, least_decrease=least_decrease)
+            if found.square < FAILED and np.isfinite(found.square):
+                return found
+            theta = 0.5 * (theta + start.null)
+        return Fit(theta, np.asarray(start.free), FAILED, 0, [], [], False)
+
+    def _complete_start(self, current: Fit, start: FitStart, tangents: Tangents) -> np.ndarray:
+        """Returns the parameters from which a complete refit starts.
+
+        The result has the smallest sum of squares of several fractions of a step. For an effect
+        with a `Prior.start`, the step leads from the null to the start. Otherwise, the step is that
+        of a linear fit of all parameters, with the best of the `shape_starts`.
+        """
+        added = [int(i) for i in start.free if i not in current.free]
+        strengths = np.array([i for i in added if not self.entries[i].is_shape], int)
+        low, high = np.array([[p.prior.low, p.prior.high] for p in self.entries]).T
+        margin, null = np.zeros(len(low)), self.null(start.theta, strengths)
+        if not len(strengths):
+            return start.theta
+        if any(self.entries[i].prior.start is not None for i in added):
+            begin, step = null, start.theta - null
+        else:
+            begin, step = self._linear_step(current, start, null, tangents)
+            margin[strengths] = self.settings.initial_step_share * (high - low)[strengths]
+        # A fit cannot leave a bound of the range.
+        moved = [
+            np.clip(begin + share * step, low + share * margin, high - share * margin)
+            for share in SHARES
+        ]
+        starts = [start.theta, *moved]
+        squares = [
+            total(self.problem.residuals(list(predicted), self.white))
+            for predicted in zip(*self.problem.coarse(starts), strict=True)
+        ]
+        return starts[int(np.argmin(squares))]
+
+    def _linear_step(
+        self, current: Fit, start: FitStart, null: np.ndarray, tangents: Tangents
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns `null` with the best shape parameters, and the step of a linear fit from there.
+
+        The best of the `shape_starts` has the largest predicted gain.
+        """
+        added = [int(i) for i in start.free if i not in current.free]
+        shapes = [i for i in added if self.entries[i].is_shape]
+        kept = start.free[np.isin(start.free, current.free)]
+        own = np.array([i for i in added if i not in shapes], int)
+        both = np.concatenate([kept, own])
+        residuals = self.problem.residuals([x[0] for x in self.problem.coarse([null])], self.white)
+        lanes = shape_starts(self.entries, null, shapes, self.settings) if shapes else [null]
+        found: list[tuple[float, int, np.ndarray]] = []
+        for lane in lanes:
+            more = self.problem.tangents(lane, np.eye(len(lane))[own])
+            white = self.problem.whitened(more, self.white)
+            J = {key: np.concatenate([x[kept], white[key]]) for key, x in tangents.items()}
+            A, b = summed(normal_equations(residuals, J))
+            step = np.zeros(len(lane))
+            if np.isfinite(A).all():
+                step[both] = inverse(A) @ b
+            found.append((float(step[both] @ b), -len(found), step))
+        _, best, step = max(found)
+        return lanes[-best], step
 
     def surplus(self, current: Fit, fit: Fit) -> float:
         """Returns the gain of `fit` over `current`, minus the required gain."""

@@ -61,6 +61,12 @@ class SelectionSettings:
     in 1.0 % of the cases with two trials, 2.5 % with three and 1.7 % with four (3000 simulated
     cases each)."""
 
+    complete_refits: bool = False
+    """Whether each candidate is refitted until the fit converges. Otherwise, candidates race on a
+    coarse mesh."""
+    complete_tolerance_share: float = 0.02
+    """A complete refit ends if the next step would change its gain by less than this fraction."""
+
     max_effects: int = 3
     """Largest number of effects that the loop adds to the model."""
     max_rounds: int = 5
@@ -86,7 +92,8 @@ class SelectionSettings:
     removal_loss_factor: float = 10.0
     """The loop predicts the increase of the sum of squares by the removal of an effect, in units of
     the residual's mean square. If the increase exceeds this multiple of `min_gain`, the loop keeps
-    the effect without a refit."""
+    the effect without a refit. The same factor applies to the loss by the default of a shape
+    parameter."""
 
     parallel_cosine: float = 0.95
     """Two effects are equivalent if |cos| between their tangents exceeds this value."""

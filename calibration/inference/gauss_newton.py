@@ -167,6 +167,7 @@ def fit_gauss_newton(
     progress: Callable[[str], None] = lambda text: None,
     white: dict[tuple[int, str], Whitener] | None = None,
     exact: bool = True,
+    least_decrease: Callable[[float], float] = lambda square: 0.0,
 ) -> Fit:
     """Returns the fit of the entries `free` (indices) of `theta`; the other entries are fixed.
 
@@ -174,7 +175,8 @@ def fit_gauss_newton(
     tangent at the start fails, or if several steps gain much less than predicted. `white` are the
     whiteners of the residuals (default: computed from the readings at the start). Only fits with
     the same whiteners have comparable sums of squares. If `exact` is false, the fit ends
-    earlier, and it may end with tangents from differences and Broyden's formula.
+    earlier, and it may end with tangents from differences and Broyden's formula. The fit also ends
+    if the predicted decrease of the sum of squares S is below `least_decrease(S)`.
     """
     bounds = Bounds.of([entries[i] for i in free])
     predicted = problem.predict(theta)
@@ -196,6 +198,7 @@ def fit_gauss_newton(
         expected = 2.0 * step @ b - step @ A @ step
         least = GAIN_TOLERANCE if exact else INEXACT_GAIN_TOLERANCE
         enough = unit * (least if unit < POOR_FIT else ROUGH_GAIN_TOLERANCE)
+        enough = max(enough, least_decrease(square))
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
         if abs(expected) < enough:
             moved = (theta - origin)[free]

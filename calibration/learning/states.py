@@ -42,7 +42,7 @@ def visited_states(
     """
     t = jnp.asarray(plan.grid.times)
     p, p_set = chamber_history(model, start_chambers(model), t).p, set_pressures(model, t).b1
-    chamber = Chamber(p, p_set, jnp.ones(()), REAR, jnp.sign(p))
+    chamber = Chamber(p, p_set, jnp.ones(()), REAR, jnp.sign(p), jnp.zeros((0, *p.shape)))
     rows = [jnp.asarray(readings[row_of(name)]) for name in BUILT_IN]
     read, found = Readings(jnp.asarray(plan.at), *rows), {}
     local = any(x.place() not in ("Flow", *OF_READINGS) for x in terms.values())

@@ -4,6 +4,7 @@ from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -14,10 +15,24 @@ import numpy as np
 from calibration.model.stored_programs import stored_program
 from slider_jax.batch.chunks import available_cores
 
+MOST_MAPS = 40_000
+"""Largest number of memory maps of a process. Linux allows 65,530 by default."""
 DIRECTIONS = 8
 """A call of a compiled program computes a multiple of this number of tangents."""
 MOST_DIRECTIONS = 64
 """Largest number of tangents that one call computes. 64 tangents take twice the time of eight."""
+
+
+def limit_memory_maps() -> None:
+    """Drops all compiled programs if this process has more than `MOST_MAPS` memory maps.
+
+    Each compiled program has memory maps of its own. If a process needs more maps than the
+    operating system allows, XLA aborts the process. Call this function between analyses if one
+    process analyses dozens of experiments. Later calls compile their programs again.
+    """
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > MOST_MAPS:
+        jax.clear_caches()
 
 
 def compiled_once(function, stored: bool = False):

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome, conclude
 from calibration.discrepancy.report import loop_record
-from calibration.discrepancy.settings import DEFAULT_SETTINGS
+from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.cache import Memo
 from calibration.inference.problem import AbstractProblem
 from calibration.measurements.records import Record
@@ -20,7 +20,7 @@ from calibration.pressure_logs.problem import (
     PressureLogProblem,
     log_candidates,
     log_experiment,
-    log_record,
+    log_records,
 )
 from calibration.pressure_logs.read import PA_PER_PSI, ManifoldLog
 from slider_jax.errors import InputError
@@ -30,6 +30,9 @@ from slider_jax.observables.strides import stride_means
 from slider_jax.paper import PRESSURE_LAG
 from slider_jax.simulation.effect_signature import FREQUENCY, built_in_experiment
 from slider_jax.simulation.trial import simulate_trial
+
+LOG_SETTINGS = SelectionSettings(complete_refits=True)
+"""The pressure behind switching valves is far from linear in the parameters."""
 
 
 def close_loop_on_logs(
@@ -43,7 +46,7 @@ def close_loop_on_logs(
     `effects` are the names of the candidates (default: `log_candidates()`). Every second log, in
     the order of frequency, is held out. Raises `InputError` for too few logs.
     """
-    least = 2 * DEFAULT_SETTINGS.min_trials - 1
+    least = 2 * LOG_SETTINGS.min_trials - 1
     if len(logs) < least:
         raise InputError(
             f"{len(logs)} logs given; the search for effects needs {least} or more logs at "
@@ -52,20 +55,22 @@ def close_loop_on_logs(
     logs = sorted(logs, key=lambda log: log.frequency)
     names = tuple(log_candidates() if effects is None else effects)
     experiment = log_experiment(logs[0], None, {})
-    records = [log_record(log, log_experiment(log, None, {})) for log in logs]
+    halves = [log_records(log) for log in logs]
 
     def problem_of(chosen: Sequence[Record]) -> AbstractProblem:
         used = {id(r) for r in chosen}
-        picked = [log for log, r in zip(logs, records, strict=True) if id(r) in used]
+        picked = [log for log, both in zip(logs, halves, strict=True) if id(both[0]) in used]
         return replace(PressureLogProblem.of_logs(picked, names), memo=memo)
 
     base = base_values(experiment)
-    held = list(range(1, len(logs), 2))
+    held = [i for i in range(2 * len(logs)) if i // 2 % 2 == 1]
     progress("auditing the logs")
     findings = audit_logs(logs)
     for finding in findings:
         progress(str(finding))
-    outcome = conclude(experiment, names, records, held, problem_of, base, FREE, progress)
+    outcome = conclude(
+        experiment, names, sum(halves, []), held, problem_of, base, FREE, progress, LOG_SETTINGS
+    )
     return replace(outcome, audit=findings)
 
 

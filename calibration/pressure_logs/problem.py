@@ -3,7 +3,7 @@
 The prediction starts at the first measured pressure and then depends only on the command.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import final
@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from calibration.inference.noise import channel_noise
 from calibration.inference.problem import AbstractProblem
 from calibration.measurements.records import Record
-from calibration.model.compiled import by_directions
+from calibration.model.compiled import by_directions, on_all_cores
 from calibration.model.extended import ExtendedModel, candidate_effects, model_parameters
 from calibration.model.predict import recorded_pressures
 from calibration.pressure_logs.read import ManifoldLog
@@ -36,6 +36,12 @@ CHANNEL = "p_front"
 """Channel of the extended model that predicts the single pressure of a log."""
 FREE = ("k",)
 """Parameters of the base model that a pressure log can identify."""
+LONG_SHARE = 0.5
+"""Logs longer than this fraction of the longest log are one group, and the other logs another. Each
+group is a batch on one core. In one batch, short logs would be as costly as the longest log."""
+
+SENSORS = SensorsTable(pressure_gain=0.0)
+"""The same sensor records all logs of a sweep, so its gain does not differ between logs."""
 
 
 def log_candidates() -> list[str]:
@@ -74,17 +80,26 @@ def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, flo
     return assemble(content, str(log.path), log.path.parent, model)
 
 
-def log_record(log: ManifoldLog, experiment: Experiment) -> Record:
-    """Returns a log as a measured trial with `CHANNEL` as the only channel."""
-    values = np.full((len(CHANNELS), len(log.t)), np.nan)
-    values[row_of(CHANNEL)] = log.pressure_Pa
-    return Record(experiment.trials[0], log.t, values)
+def log_records(log: ManifoldLog) -> list[Record]:
+    """Returns the two halves of a log as measured trials with `CHANNEL` as the only channel.
+
+    Cross-validation then leaves out half of a log. A whole log may be the only one that determines
+    a parameter, for example a natural frequency near the log's frequency.
+    """
+    trial, found = log_experiment(log, None, {}).trials[0], []
+    halves = np.array_split(np.arange(len(log.t)), 2)
+    for name, part in zip(("first", "second"), halves, strict=True):
+        values = np.full((len(CHANNELS), len(part)), np.nan)
+        values[row_of(CHANNEL)] = log.pressure_Pa[part]
+        named = trial.model_copy(update={"file": f"{log.path.name}, {name} half"})
+        found.append(Record(named, log.t[part], values))
+    return found
 
 
 class LogDrive(eqx.Module):
     """Commands [Pa] of logs at the times `at` [s], and the first measured pressures `start` [Pa].
 
-    Shorter logs are extended, so that all logs have as many samples as the longest log.
+    Shorter logs are extended, so that all these logs have as many samples as the longest log.
     """
 
     at: Float[Array, "logs n"]
@@ -95,34 +110,31 @@ class LogDrive(eqx.Module):
 @final
 @dataclass(frozen=True, kw_only=True)
 class PressureLogProblem(AbstractProblem):
-    """Pressure logs as trials. To save time, a simulation omits effects that are at their null."""
+    """Pressure logs as trials: records 2 i and 2 i + 1 are the halves of log i.
+
+    To save time, a simulation omits effects that are at their null.
+    """
 
     logs: list[ManifoldLog]
     base: ExtendedModel
-    drive: LogDrive
+    drives: list[tuple[list[int], LogDrive]]
+    """Groups of logs with similar durations: their indices, and their drive."""
 
     @classmethod
     def of_logs(cls, logs: Sequence[ManifoldLog], names: Sequence[str]) -> "PressureLogProblem":
         """Returns the problem of fitting `logs` with the base model and the effects `names`."""
-        experiments = [log_experiment(log, None, {}) for log in logs]
-        records = [log_record(log, x) for log, x in zip(logs, experiments, strict=True)]
+        records = [record for log in logs for record in log_records(log)]
         row = row_of(CHANNEL)
         noise = {
-            (i, CHANNEL): channel_noise(SensorsTable(), CHANNEL, r.values[row])
+            (i, CHANNEL): channel_noise(SENSORS, CHANNEL, r.values[row])
             for i, r in enumerate(records)
         }
-        n = max(round(log.t[-1] / log.period) for log in logs) + 1
-        at = np.stack([log.period * np.arange(n) for log in logs])
-        command = [np.interp(t, log.t, log.command_Pa) for t, log in zip(at, logs, strict=True)]
-        drive = LogDrive(
-            jnp.asarray(at),
-            jnp.asarray(np.stack(command)),
-            jnp.asarray([log.pressure_Pa[0] for log in logs]),
-        )
-        first = prepare(experiments[0], sample_times=logs[0].t, declared_drive=True)
-        taken = {
-            n: jnp.asarray(x) for n, x in trial_conditions(experiments[0], first.trial).items()
-        }
+        long = [_samples(log) > LONG_SHARE * max(map(_samples, logs)) for log in logs]
+        groups = [[i for i, x in enumerate(long) if x is kind] for kind in (True, False)]
+        drives = [(group, _drive([logs[i] for i in group])) for group in groups if group]
+        experiment = log_experiment(logs[0], None, {})
+        first = prepare(experiment, sample_times=logs[0].t, declared_drive=True)
+        taken = {n: jnp.asarray(x) for n, x in trial_conditions(experiment, first.trial).items()}
         base = ExtendedModel(first.model, taken, tuple(names), first.channels)
         return cls(
             records=records,
@@ -130,52 +142,71 @@ class PressureLogProblem(AbstractProblem):
             noise=noise,
             logs=list(logs),
             base=base,
-            drive=drive,
+            drives=drives,
         )
 
     def spans(self) -> None:
         """Returns None, because a log contains no motion of the robot."""
 
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
-        extended = self._moved(theta, np.zeros(len(theta), bool))
-        at = self._entries(theta, extended)
-        return self._at_samples(np.asarray(_readings(extended, at, self.drive)))
+        return [x[0] for x in self._coarse([theta])]
+
+    def _coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+        rows = np.stack(thetas)
+        extended = self._moved(rows, np.zeros(rows.shape[1], bool))
+        short = self._entries(rows, extended)
+        return self._each(lambda drive, rows: _readings(extended, rows, drive), short)
 
     def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         along = np.any(np.asarray(directions) != 0.0, axis=0)
-        extended = self._moved(theta, along)
-        at = self._entries(theta, extended)
-        short = np.stack([self._entries(d, extended) for d in directions])
-        series = by_directions(lambda d: _along(extended, at, self.drive, d), short)
-        each = [self._at_samples(x) for x in series]
-        return [np.stack(x) for x in zip(*each, strict=True)]
+        extended = self._moved(theta[None], along)
+        at, short = (self._entries(x, extended) for x in (theta, np.asarray(directions)))
+        return self._each(lambda drive, rows: _along(extended, at, drive, rows), short)
 
-    def _coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
-        each = [self.predict(theta) for theta in thetas]
-        return [np.stack(x) for x in zip(*each, strict=True)]
+    def _each(
+        self, run: Callable[[LogDrive, np.ndarray], Array], rows: np.ndarray
+    ) -> list[np.ndarray]:
+        """Returns `run(drive, rows)` as arrays (rows, channels, samples) of every record."""
+        found = [np.full((len(rows), *r.values.shape), np.nan) for r in self.records]
 
-    def _moved(self, theta: np.ndarray, along: np.ndarray) -> ExtendedModel:
-        """Returns the model with only the effects that are not at null or that `along` marks."""
+        def one(job: tuple[list[int], LogDrive]) -> None:
+            group, drive = job
+            series = by_directions(lambda block: run(drive, block), rows)
+            for place, i in enumerate(group):
+                for half in (2 * i, 2 * i + 1):
+                    at = np.round(self.records[half].t / self.logs[i].period).astype(int)
+                    found[half][:, row_of(CHANNEL)] = series[:, place, at]
+
+        on_all_cores(one, self.drives)
+        return found
+
+    def _moved(self, thetas: np.ndarray, along: np.ndarray) -> ExtendedModel:
+        """Returns the model with the effects that are not at null in `thetas` or that move `along`.
+
+        `thetas` has the shape (k, entries), and `along` (entries,) contains truth values.
+        """
         found = dict.fromkeys(
             p.effect
             for i, p in enumerate(model_parameters(self.base.effects))
-            if p.effect and (theta[i] != p.prior.null or along[i])
+            if p.effect and (np.any(thetas[:, i] != p.prior.null) or along[i])
         )
         return replace(self.base, effects=tuple(found))
 
-    def _entries(self, theta: np.ndarray, extended: ExtendedModel) -> np.ndarray:
-        """Returns the entries of `theta` for the base model and the effects of `extended`."""
-        entries, names = model_parameters(self.base.effects), ("", *extended.effects)
-        return np.array([x for x, p in zip(theta, entries, strict=True) if p.effect in names])
+    def _entries(self, rows: np.ndarray, extended: ExtendedModel) -> np.ndarray:
+        """Returns the last axis of `rows` for the base model and the effects of `extended`."""
+        names = ("", *extended.effects)
+        return rows[..., [p.effect in names for p in model_parameters(self.base.effects)]]
 
-    def _at_samples(self, series: np.ndarray) -> list[np.ndarray]:
-        """Returns the readings (channels, samples) of every log from the `series` (logs, n)."""
-        found = []
-        for log, x in zip(self.logs, series, strict=True):
-            values = np.full((len(CHANNELS), len(log.t)), np.nan)
-            values[row_of(CHANNEL)] = x[np.round(log.t / log.period).astype(int)]
-            found.append(values)
-        return found
+
+def _samples(log: ManifoldLog) -> int:
+    return round(log.t[-1] / log.period) + 1
+
+
+def _drive(logs: Sequence[ManifoldLog]) -> LogDrive:
+    at = np.stack([log.period * np.arange(max(map(_samples, logs))) for log in logs])
+    command = [np.interp(t, log.t, log.command_Pa) for t, log in zip(at, logs, strict=True)]
+    start = [log.pressure_Pa[0] for log in logs]
+    return LogDrive(jnp.asarray(at), jnp.asarray(np.stack(command)), jnp.asarray(start))
 
 
 def _read(extended: ExtendedModel, theta, drive: LogDrive):
@@ -190,7 +221,9 @@ def _read(extended: ExtendedModel, theta, drive: LogDrive):
     return jax.vmap(one)(drive.at, drive.command, drive.start)
 
 
-_readings = eqx.filter_jit(_read)
+@eqx.filter_jit
+def _readings(extended: ExtendedModel, thetas, drive: LogDrive):
+    return jax.vmap(lambda theta: _read(extended, theta, drive))(thetas)
 
 
 @eqx.filter_jit

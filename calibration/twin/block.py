@@ -19,7 +19,7 @@ from slider_jax.actuation import FirstOrderLag, Held, Ideal, Recorded
 from slider_jax.beam.parameters import Numerics, Scalar
 from slider_jax.channels import BUILT_IN, recorded
 from slider_jax.dynamics.model import Drive, Model
-from slider_jax.dynamics.pressures import advance, set_pressures
+from slider_jax.dynamics.pressures import advance, set_pressures, start_flow
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
@@ -81,14 +81,16 @@ class BlockState(eqx.Module):
 
     values: Float[Array, " values"]
     """Values of `PARAMETERS` with which the state was computed."""
-    p: Float[Array, "2"]
-    """Pressures [Pa] that the lag model predicts from the set pressures."""
-    dp: Float[Array, "2"]
+    p: Float[Array, "rows 2"]
+    """Pressures [Pa] that the lag model predicts from the set pressures, and states of the model's
+    `Flow` effects. The rows are those of `start_flow`."""
+    dp: Float[Array, "rows 2"]
     """Derivative of `p` with respect to k."""
-    sensed: Float[Array, "2"]
-    """Pressures [Pa] that drive the body: measured pressures, or predicted pressures in a gap."""
-    faulty: Float[Array, "faults 2"]
-    """Pressures [Pa] that the lag model predicts with each of `FAULT_HYPOTHESES`."""
+    sensed: Float[Array, "rows 2"]
+    """As `p`, for the pressures that drive the body: measured pressures, or predicted pressures in
+    a gap."""
+    faulty: Float[Array, "faults rows 2"]
+    """As `p`, for the pressures that the lag model predicts with each of `FAULT_HYPOTHESES`."""
     body: Carry
     d_body: Any
     """Derivatives of `body` with respect to all `PARAMETERS` except k, on the first axis."""
@@ -143,13 +145,9 @@ def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -
     body = at_rest(_of_body(model, jnp.asarray(values[1:])), layout.numerics)
     count, past = len(PARAMETERS), HISTORY if of_place(model.effects, Instrument) else 0
     moving = eqx.filter(body, eqx.is_inexact_array)
-    zero = jnp.zeros(2)
     return BlockState(
         values=jnp.asarray(values),
-        p=zero,
-        dp=zero,
-        sensed=zero,
-        faulty=jnp.zeros((len(FAULT_HYPOTHESES), 2)),
+        **pressure_state(model, np.zeros(2)),
         body=body,
         d_body=jax.tree.map(lambda x: jnp.zeros((count - 1, *x.shape)), moving),
         last=jnp.zeros(3),
@@ -157,6 +155,13 @@ def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -
         past=jnp.zeros((past, len(BUILT_IN))),
         d_past=jnp.zeros((count, past, len(BUILT_IN))),
     )
+
+
+def pressure_state(model: Model, p: np.ndarray) -> dict[str, Any]:
+    """Returns the first four fields of `BlockState` except `values`, at the pressures `p` [Pa]."""
+    y = start_flow(of_place(model.effects, Flow), jnp.asarray(p))
+    faulty = jnp.broadcast_to(y, (len(FAULT_HYPOTHESES), *y.shape))
+    return {"p": y, "dp": jnp.zeros_like(y), "sensed": y, "faulty": faulty}
 
 
 def compile_block(
@@ -240,16 +245,17 @@ def _pressures(layout: BlockLayout, model: Model, state: BlockState, at, measure
             (law.k, p),
             (jnp.ones_like(law.k), dp),
         )
-        sensed = jnp.where(jnp.isfinite(read), read, advance(law, flows, sensed, segment))
+        sensed = advance(law, flows, sensed, segment)
+        sensed = sensed.at[0].set(jnp.where(jnp.isfinite(read), read, sensed[0]))
         faulty = jax.vmap(lambda x, p: advance(law, (*flows, x), p, segment))(faults, faulty)
         after = (p, dp, sensed, faulty)
-        return after, after
+        return after, (p[0], dp[0], sensed[0], faulty[:, 0])
 
     carry = (state.p, state.dp, state.sensed, state.faulty)
     carry, (p, dp, sensed, faulty) = jax.lax.scan(
         body, carry, (set_pressures(model, at), measured.T)
     )
-    sensed = jnp.concatenate([state.sensed[None], sensed])
+    sensed = jnp.concatenate([state.sensed[:1], sensed])
     p_end, dp_end, seen_end, faulty_end = carry
     state = replace(state, p=p_end, dp=dp_end, sensed=seen_end, faulty=faulty_end)
     return state, p, dp, sensed, faulty

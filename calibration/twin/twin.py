@@ -11,7 +11,7 @@ twin also updates k and K_Q.
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from calibration.twin.block import (
     initial_block_state,
     live_model,
     parameter_values,
+    pressure_state,
 )
 from calibration.twin.estimate import (
     ParameterEstimate,
@@ -221,9 +222,7 @@ class Twin:
         if block.restarted:
             self._past = np.repeat(block.set_pressure[:, :1], HISTORY + 1, axis=1)
             p = np.nan_to_num(block.measured[:2, 0])
-            faulty = np.broadcast_to(p, state.faulty.shape).copy()
-            measured: dict[str, Any] = {"p": p, "dp": np.zeros(2), "sensed": p, "faulty": faulty}
-            state = replace(state, **measured)
+            state = replace(state, **pressure_state(self._model, p))
         set_pressure = np.concatenate([self._past, block.set_pressure], axis=1)
         self._past = set_pressure[:, -HISTORY - 1 :]
         values = np.array([self._k.value, self._K_Q.value, *self._values[2:]])

@@ -30,6 +30,8 @@ class Chambers(eqx.Module):
     """Pressure [Pa] at the sensor."""
     acting: Float[Array, "2"]
     """Pressure [Pa] that bends the body."""
+    flow_states: Float[Array, "states 2"] | None = None
+    """States of all `Flow` effects, in the order of the effects. None: there are no states."""
     memories: tuple[Float[Array, "2 2"], ...] = ()
     """The memory of each `ActingPressure` effect: its state and the previous pressure [Pa]."""
 
@@ -38,7 +40,9 @@ def start_chambers(model: Model) -> Chambers:
     """Returns the chambers in equilibrium at the initial pressures of the drive."""
     drive = model.drive
     p = jnp.stack([jnp.asarray(x, float) for x in (drive.start_front, drive.start_rear)])
-    return Chambers(p, p, tuple(jnp.stack([p, p]) for _ in of_place(model.effects, ActingPressure)))
+    memories = tuple(jnp.stack([p, p]) for _ in of_place(model.effects, ActingPressure))
+    y = start_flow(of_place(model.effects, Flow), p)
+    return Chambers(p, p, y[1:] if len(y) > 1 else None, memories)
 
 
 def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) -> Chambers:
@@ -48,12 +52,14 @@ def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) ->
 
     def body(before, inputs):
         dt, segment = inputs
-        p = advance(model.pressure_law, flows, before.p, segment)
-        acting, memories = p, []
+        p, states = before.p, before.flow_states
+        y = p[None] if states is None else jnp.concatenate([p[None], states])
+        y = advance(model.pressure_law, flows, y, segment)
+        acting, memories = y[0], []
         for effect, memory in zip(acting_effects, before.memories, strict=True):
             acting, memory = effect.act(acting, memory, dt)
             memories.append(memory)
-        after = Chambers(p, acting, tuple(memories))
+        after = Chambers(y[0], acting, None if states is None else y[1:], tuple(memories))
         return after, after
 
     return jax.lax.scan(body, begin, (jnp.diff(times), set_pressures(model, times)))[1]
@@ -72,23 +78,32 @@ def set_pressures(model: Model, times: Float[Array, " n"]) -> Segment:
     return jax.tree.map(lambda *x: jnp.stack(x, 1), *both)
 
 
-def advance(
-    law: PressureLaw, flows: tuple[Flow, ...], p: Float[Array, "2"], x: Segment
-) -> Float[Array, "2"]:
-    """Returns front and rear pressures [Pa] at the end of segment `x` from `p` [Pa] at its start.
+def start_flow(flows: tuple[Flow, ...], p: Float[Array, "2"]) -> Float[Array, "1+states 2"]:
+    """Returns the pressures `p` [Pa] and the states of `flows` in equilibrium at these pressures.
 
-    The pressure law has an exact solution. For `FirstOrderLag` with `Flow` effects, the difference
-    of two Runge-Kutta steps, with and without these effects, is added to this solution. Effects at
-    their null thus change nothing. If an effect replaces the law, the step with effects is the
-    result. Both steps are split at the break of the set pressure and at zero pressure, where the
-    opposite air chamber starts to fill.
+    The first row is p. The other rows are the states, in the order of the effects.
     """
-    exact = law.advance(p, x)
-    if not flows or not isinstance(law, FirstOrderLag):
-        return exact
+    return jnp.concatenate([p[None], *(effect.start(p) for effect in flows)])
 
-    def part(p, inputs):
-        changed, plain = p
+
+def advance(
+    law: PressureLaw, flows: tuple[Flow, ...], y: Float[Array, "1+states 2"], x: Segment
+) -> Float[Array, "1+states 2"]:
+    """Returns the pressures [Pa] and the states of `flows` at the end of the segment `x`.
+
+    `y` are the pressures and states at the start of the segment, as from `start_flow`. The pressure
+    law has an exact solution. For `FirstOrderLag` with `Flow` effects, the difference of two
+    Runge-Kutta steps, with and without these effects, is added to this solution. Effects at their
+    null thus change nothing. If an effect replaces the law, the step with effects is the result.
+    Both steps are split at the break of the set pressure and at zero pressure, where the opposite
+    air chamber starts to fill.
+    """
+    exact = law.advance(y[0], x)
+    if not flows or not isinstance(law, FirstOrderLag):
+        return jnp.concatenate([exact[None], y[1:]])
+
+    def part(y, inputs):
+        changed, plain = y
         return (
             _through_zero(law.k, flows, changed, *inputs),
             _through_zero(law.k, (), plain, *inputs),
@@ -99,41 +114,49 @@ def advance(
         jnp.stack([x.a1, x.b1]),
         jnp.stack([x.t_break - x.t0, x.t1 - x.t_break]),
     )
-    changed, plain = jax.lax.scan(part, (p, p), parts)[0]
+    changed, plain = jax.lax.scan(part, (y, y[:1]), parts)[0]
     replaced = ft.reduce(jnp.logical_or, [flow.replaces() for flow in flows])
-    return jnp.where(replaced, changed, exact + (changed - plain))
+    p = jnp.where(replaced, changed[:1], exact[None] + (changed[:1] - plain))
+    return jnp.concatenate([p, changed[1:]])
 
 
 def _rate(k, flows, side):
-    def rate(p, p_set):
-        dp = (p_set - p) / k
+    """Returns a function of (y, p_set) that returns dy/dt, with the pressures in the first row."""
+
+    def rate(y, p_set):
+        dp, rows, first = (p_set - y[0]) / k, [], 1
         for effect in flows:
-            dp = effect.rate(dp, Chamber(p, p_set, k, REAR, side))
-        return dp
+            own = y[first : first + effect.states]
+            x = Chamber(y[0], p_set, k, REAR, side, own)
+            rows.append(effect.state_rates(dp, x))
+            dp, first = effect.rate(dp, x), first + effect.states
+        return jnp.concatenate([dp[None], *rows])
 
     return rate
 
 
-def _through_zero(k, flows, p, a0, a1, span):
-    """Returns the pressure after a Runge-Kutta step that is split at zero pressure."""
+def _through_zero(k, flows, y, a0, a1, span):
+    """Returns y after a Runge-Kutta step that is split at zero pressure."""
+    p = y[0]
     rate = _rate(k, flows, jnp.where(p == 0.0, jnp.sign(a0 + a1), jnp.sign(p)))
-    whole = _runge_kutta(rate, p, a0, a1, span)
-    crosses = p * whole < 0.0
-    share = jnp.where(crosses, p / jnp.where(crosses, p - whole, 1.0), 1.0)
+    whole = _runge_kutta(rate, y, a0, a1, span)
+    crosses = p * whole[0] < 0.0
+    share = jnp.where(crosses, p / jnp.where(crosses, p - whole[0], 1.0), 1.0)
     at_zero = a0 + share * (a1 - a0)
-    near = _runge_kutta(rate, p, a0, at_zero, share * span)
-    slope = span * rate(near, at_zero)
+    near = _runge_kutta(rate, y, a0, at_zero, share * span)
+    slope = span * rate(near, at_zero)[0]
     moves = crosses & (slope != 0.0)
-    share = share - jnp.where(moves, near / jnp.where(moves, slope, 1.0), 0.0)
+    share = share - jnp.where(moves, near[0] / jnp.where(moves, slope, 1.0), 0.0)
     share = jnp.clip(share, 0.0, 1.0)
     at_zero = a0 + share * (a1 - a0)
-    beyond = _rate(k, flows, jnp.sign(whole))
-    rest = _runge_kutta(beyond, jnp.zeros_like(p), at_zero, a1, (1.0 - share) * span)
+    beyond = _rate(k, flows, jnp.sign(whole[0]))
+    empty = jnp.concatenate([jnp.zeros_like(near[:1]), near[1:]])
+    rest = _runge_kutta(beyond, empty, at_zero, a1, (1.0 - share) * span)
     return jnp.where(crosses, rest, whole)
 
 
-def _runge_kutta(rate, p, a0, a1, span):
-    """Returns p after a classical Runge-Kutta step.
+def _runge_kutta(rate, y, a0, a1, span):
+    """Returns y after a classical Runge-Kutta step.
 
     The loop over the stages contains `rate` once, so that a program with many effects of the flow
     compiles faster.
@@ -142,10 +165,10 @@ def _runge_kutta(rate, p, a0, a1, span):
     def stage(carry, inputs):
         slope, total = carry
         share, weight = inputs
-        slope = rate(p + share * span * slope, a0 + share * (a1 - a0))
+        slope = rate(y + share * span * slope, a0 + share * (a1 - a0))
         return (slope, total + weight * slope), None
 
     shares, weights = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
-    stages = jnp.asarray(shares, p.dtype), jnp.asarray(weights, p.dtype)
-    (_, mean), _ = jax.lax.scan(stage, (jnp.zeros_like(p), jnp.zeros_like(p)), stages)
-    return p + span * mean
+    stages = jnp.asarray(shares, y.dtype), jnp.asarray(weights, y.dtype)
+    (_, mean), _ = jax.lax.scan(stage, (jnp.zeros_like(y), jnp.zeros_like(y)), stages)
+    return y + span * mean

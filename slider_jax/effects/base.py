@@ -206,7 +206,7 @@ class Command(Effect):
 
 
 class Chamber(NamedTuple):
-    """State of chambers and valves at one instant. Arrays have the shape (2,): front and rear."""
+    """State of chambers and valves at one instant. The last axis (2,) is front and rear."""
 
     p: Array
     """Pressure [Pa]."""
@@ -218,6 +218,8 @@ class Chamber(NamedTuple):
     """1 for the rear chamber, 0 for the front chamber."""
     side: Array
     """Sign of the pressure; the sign is constant during a Runge-Kutta step."""
+    states: Array
+    """States (states, 2) of the effect that reads this chamber."""
 
     @property
     def filling(self) -> Array:
@@ -226,9 +228,14 @@ class Chamber(NamedTuple):
 
 
 class Flow(Effect):
-    """A change of the flow into a chamber."""
+    """A change of the flow into a chamber.
+
+    An effect with memory has `states`, for example the opening of a slow valve.
+    """
 
     sensors = ("pressure", *Effect.sensors)
+    states: ClassVar[int] = 0
+    """Number of states of the effect in each chamber."""
 
     @abstractmethod
     def rate(self, rate: Array, x: Chamber) -> Array:
@@ -240,6 +247,17 @@ class Flow(Effect):
     def replaces(self) -> Array | bool:
         """Returns whether the effect replaces the first-order lag of the pressure."""
         return False
+
+    def start(self, p: Float[Array, "2"]) -> Float[Array, "states 2"]:
+        """Returns the states in equilibrium at the pressures `p` [Pa]."""
+        return jnp.zeros((self.states, *jnp.shape(p)))
+
+    def state_rates(self, rate: Array, x: Chamber) -> Float[Array, "states 2"]:
+        """Returns the time derivatives of the states; `rate` is the argument of `rate`.
+
+        An effect with `states` must override this method.
+        """
+        return x.states
 
 
 class ActingPressure(Effect):

@@ -118,14 +118,24 @@ def _command(effect: Command, moving: Array) -> Response:
 
 def _rate(effect: Flow, moving: Array) -> Response:
     k, rear, given, unchanged = jnp.asarray(0.1), np.array([0.0, 1.0]), [], []
+    states, memory = [], []
     # Both signs of the pressure, each with one chamber that fills and one that vents.
     for p, p_set in (([0.5e5, 1.2e5], [2e5, 0.2e5]), ([-0.4e5, -1e5], [-2e5, 1e5])):
-        x = Chamber(moving * np.array(p), moving * np.array(p_set), k, rear, jnp.sign(np.array(p)))
+        x = Chamber(
+            moving * np.array(p),
+            moving * np.array(p_set),
+            k,
+            rear,
+            jnp.sign(np.array(p)),
+            effect.start(moving * np.array(p)),
+        )
         rate = (x.p_set - x.p) / k
         given.append(effect.rate(rate, x))
         unchanged.append(rate)
+        states.append(effect.state_rates(rate, x))
+        memory.append(jnp.zeros((effect.states, 2)))
     replaces = jnp.where(jnp.asarray(effect.replaces()), 1.0, 0.0)
-    return Response((given, replaces), (unchanged, jnp.zeros(())))
+    return Response((given, replaces), (unchanged, jnp.zeros(())), states, memory)
 
 
 def _act(effect: ActingPressure, moving: Array) -> Response:

@@ -1,4 +1,4 @@
-"""Base class of the effects that model a chamber's two valves, which the firmware pulses."""
+"""The duty that the firmware sets, and the base class of two valves that follow it at once."""
 
 from abc import abstractmethod
 
@@ -16,14 +16,21 @@ MAX_DUTY = 250.0 / 255.0
 """Largest duty that the firmware sets, as a fraction of full duty (255)."""
 
 
+def duty(error: Array) -> Array:
+    """Returns the duty that the firmware sets at a pressure error [Pa], as a fraction of 255.
+
+    The duty is min(250, 10 |error in codes|)/255. Source: the public repository
+    bvanstratum/SoftSnakePressureControl.
+    """
+    return MAX_DUTY * jnp.minimum(jnp.abs(error) / FULL_DUTY_ERROR, 1.0)
+
+
 def opening(error: Array, dead: Scalar) -> Array:
     """Returns the flow of a valve at a pressure error [Pa], as a fraction of the full flow.
 
-    The duty is min(250, 10 |error in codes|)/255. The valve stays closed at a duty below `dead`.
-    Source: the public repository bvanstratum/SoftSnakePressureControl.
+    The valve stays closed at a duty below `dead`. Above, the flow is linear in the duty.
     """
-    duty = MAX_DUTY * jnp.minimum(jnp.abs(error) / FULL_DUTY_ERROR, 1.0)
-    return jnp.maximum(duty - dead, 0.0) / (1.0 - dead)
+    return jnp.maximum(duty(error) - dead, 0.0) / (1.0 - dead)
 
 
 class ValvePair(Flow):

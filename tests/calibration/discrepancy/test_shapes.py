@@ -5,10 +5,10 @@ import pytest
 
 from calibration.discrepancy.alternatives import judge_alternatives
 from calibration.discrepancy.ranges import fix_undetermined_shapes, widened_prior
-from calibration.discrepancy.refits import Refits, shape_starts
+from calibration.discrepancy.refits import FitStart, Refits, shape_starts
 from calibration.discrepancy.rounds import Agreement, Alternative, effect_entries, scoring_entries
 from calibration.discrepancy.selection import select_effects
-from calibration.discrepancy.settings import DEFAULT_SETTINGS
+from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.uncertainty import confidence_interval
 from calibration.model.extended import Parameter, model_parameters
 from calibration.reporting.parameters import parameter_record, parameter_text
@@ -56,18 +56,37 @@ class Lagged(Sums):
         return list(found)
 
 
-def select(size, lag, mass=0.0, seed=0, turn=1.0):
+COMPLETE = SelectionSettings(complete_refits=True)
+
+
+def select(size, lag, mass=0.0, seed=0, turn=1.0, settings=DEFAULT_SETTINGS):
     problem = Lagged((1.0, size, lag, 0.0, mass), seed, turn)
-    return select_effects(problem, ENTRIES, START, base_names=("k",))
+    return select_effects(problem, ENTRIES, START, base_names=("k",), settings=settings)
 
 
+@pytest.mark.parametrize("settings", [DEFAULT_SETTINGS, COMPLETE], ids=["raced", "complete"])
 @pytest.mark.parametrize("lag", [0.1, 1.0, 5.0])
-def test_an_effect_with_another_shape_is_found_with_its_shape(lag):
-    found = select(0.5, lag)
+def test_an_effect_with_another_shape_is_found_with_its_shape(lag, settings):
+    found = select(0.5, lag, settings=settings)
     assert found.effects == ["internal_friction"]
     value, low, high = confidence_interval(found.final, ENTRIES, LAG)
     assert low < lag < high and high - low < 0.5 * (1.0 + lag**2)
     assert found.final.theta[SIZE] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("lag", [0.1, 5.0])
+def test_a_complete_refit_reaches_nearly_the_gain_of_an_exact_fit(lag):
+    problem = Lagged((1.0, 0.5, lag, 0.0, 0.0))
+    refits = Refits(problem, ENTRIES, {}, lambda text: None, COMPLETE)
+    current = refits.fit(START, np.array([K]))
+    free = np.array([K, SIZE, LAG])
+    J = problem.whitened(problem.tangents(current.theta, np.eye(5)), {})
+    theta = current.theta.copy()
+    theta[SIZE] = 0.1
+    (fit,) = refits.raced(current, [FitStart(theta, free, current.theta)], J)
+    exact = refits.fit(np.array([1.0, 0.5, lag, 0.0, 0.0]), free, exact=True)
+    share = COMPLETE.complete_tolerance_share
+    assert current.square - fit.square > (1.0 - share) * (current.square - exact.square)
 
 
 def test_with_its_default_shape_the_effect_would_lose_against_a_wrong_effect():
@@ -152,17 +171,28 @@ def test_the_widest_of_two_undetermined_shapes_is_fixed_first():
 
     def refit(fit, entries):
         order.append(set(range(5)) - set(fit.free.tolist()))
-        return fit
+        return with_information(found, fit.free)._replace(theta=fit.theta)
 
     wide = with_information(found, [K, SIZE, LAG, OTHER, MASS])
     fix_undetermined_shapes(found, wide, refit)
     assert order[0] == {OTHER} and order[1] == {OTHER, MASS}
 
 
+def test_a_shape_far_from_its_default_needs_no_refit_if_only_correlation_widens_its_interval():
+    found = select(0.5, 1.0)
+    wide = found.final._replace(correlation=1e3)
+    assert LAG in wide.free and confidence_interval(wide, ENTRIES, LAG)[1] <= 0.05
+
+    def refit(fit, entries):
+        raise AssertionError("the predicted loss is far above the limit")
+
+    assert fix_undetermined_shapes(found, wide, refit) is wide
+
+
 def with_information(found, free):
     """Returns the final fit with little information on OTHER, and less than needed on MASS."""
-    A = np.diag([1e6, 1e6, 1e6, 1e-4, 1e-3])
-    blocks = [found.final.blocks[0]._replace(A=A, b=np.zeros(5))]
+    A = np.diag(np.array([1e6, 1e6, 1e6, 1e-4, 1e-3])[free])
+    blocks = [found.final.blocks[0]._replace(A=A, b=np.zeros(len(free)))]
     return found.final._replace(free=np.array(free), blocks=blocks, converged=True)
 
 

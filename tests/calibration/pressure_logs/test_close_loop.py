@@ -7,9 +7,12 @@ import pytest
 
 from calibration.discrepancy.report import loop_model_toml, loop_record
 from calibration.inference.cache import Memo, resumable
+from calibration.model.extended import base_values, base_vector, model_parameters
 from calibration.pressure_logs.close_loop import close_loop_on_logs
+from calibration.pressure_logs.problem import PressureLogProblem, log_experiment
 from calibration.pressure_logs.read import read_log
 from calibration.pressure_logs.synthetic import Valves, write_logs
+from slider_jax.channels import row_of
 from slider_jax.errors import InputError
 from tests.support.synthetic_log import log_lines, write_log
 
@@ -70,9 +73,29 @@ def test_the_valves_are_identified_with_their_parameters(outcome):
 
 def test_held_out_logs_are_predicted_to_the_noise(outcome):
     errors = outcome.held_out["p_front"]
-    assert [outcome.problem.records[i].trial.frequency for i in outcome.held] == [1.1, 2.0]
+    held = [outcome.problem.records[i] for i in outcome.held]
+    assert [r.trial.frequency for r in held] == [1.1, 1.1, 2.0, 2.0]
     assert errors["before"] > 10.0 * errors["after"]
     assert errors["after"] < 1.1 * errors["floor"]
+
+
+def test_the_halves_of_a_log_are_two_trials_of_one_simulation(logs):
+    problem = PressureLogProblem.of_logs(logs[1:3], NAMES)
+    theta = base_vector(model_parameters(NAMES), base_values(log_experiment(logs[0], None, {})))
+    predicted = [x[row_of("p_front")] for x in problem.predict(theta)]
+    for i, log in enumerate(logs[1:3]):
+        halves = problem.records[2 * i : 2 * i + 2]
+        np.testing.assert_array_equal(np.concatenate([r.t for r in halves]), log.t)
+        measured = np.concatenate([r.values[row_of("p_front")] for r in halves])
+        np.testing.assert_array_equal(measured, log.pressure_Pa)
+        alone = PressureLogProblem.of_logs([log], NAMES).predict(theta)
+        whole = np.concatenate(predicted[2 * i : 2 * i + 2])
+        np.testing.assert_allclose(
+            whole, np.concatenate([x[row_of("p_front")] for x in alone]), atol=1e-3
+        )
+        assert whole[0] == log.pressure_Pa[0]
+    names = [r.trial.file for r in problem.records[:2]]
+    assert names == ["1.1.txt, first half", "1.1.txt, second half"]
 
 
 def test_the_alternative_effect_is_refitted_and_has_a_larger_residual(outcome):

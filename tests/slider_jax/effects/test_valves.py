@@ -1,13 +1,16 @@
 """Valves, limits and hoses that change or replace the lag, each against its closed form."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from slider_jax.actuation import FirstOrderLag
+from slider_jax.effects import Chamber
 from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
 from slider_jax.effects.pneumatics.fill_vent_asymmetry import FillVentAsymmetry
 from slider_jax.effects.pneumatics.firmware_valves import FirmwareValves
 from slider_jax.effects.pneumatics.lag_mismatch import LagMismatch
+from slider_jax.effects.pneumatics.proportional_valves import ProportionalValves
 from slider_jax.effects.pneumatics.pulsed_valves import PulsedValves
 from slider_jax.effects.pneumatics.rate_limit import RateLimit
 from slider_jax.effects.pneumatics.relief_leak import ReliefLeak
@@ -32,6 +35,7 @@ OPEN = (MAX_DUTY - 0.05) / 0.95
         (ValveDeadband(20e3), 1e-3),
         (FirmwareValves(2.0, 2.0), 1e-3),
         (PulsedValves(2.0, 2.0), 1e-3),
+        (ProportionalValves(2.0, 2.0), 1e-3),
     ],
     ids=lambda x: x.name() if hasattr(x, "name") else "",
 )
@@ -112,7 +116,41 @@ def test_firmware_opens_in_proportion_up_to_its_widest():
     assert (small[1] - small[0]) / 1e-5 == pytest.approx(flow, rel=1e-3)
 
 
-@pytest.mark.parametrize("valves", [FirmwareValves(fill=1.5), PulsedValves(fill=1.5)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_proportional_valves_open_with_a_lag_and_are_choked_far_from_the_ends(sign):
+    """Choked, the chamber vents with its absolute pressure and fills at a constant rate."""
+    t, n, tau = np.linspace(0.0, 0.2, 401), 6.0, 8e-3
+    valves = ProportionalValves(1.5, 2.0, 600e3, 0.5, 0.5, 0.55, 0.62, n, tau)
+    open_for = t - tau * (1.0 - np.exp(-t / tau))
+    p = sign * relaxation(valves, sign * 500e3, sign * 100e3, t)
+    choked = p + ATMOSPHERE > ATMOSPHERE / 0.5 + 1e3
+    u = MAX_DUTY**n / (MAX_DUTY**n + 0.62**n)
+    exact = (500e3 + ATMOSPHERE) * np.exp(-2.0 * u * open_for) - ATMOSPHERE
+    assert choked.sum() > 200
+    np.testing.assert_allclose(p[choked], exact[choked], rtol=1e-4)
+    p = sign * relaxation(valves, 0.0, sign * 400e3, t)
+    choked = p + ATMOSPHERE < 0.5 * (600e3 + ATMOSPHERE) - 1e3
+    u = MAX_DUTY**n / (MAX_DUTY**n + 0.55**n)
+    exact = 1.5 * u * (600e3 + ATMOSPHERE) * open_for
+    assert choked.sum() > 200
+    np.testing.assert_allclose(p[choked], exact[choked], rtol=1e-4, atol=1.0)
+
+
+@pytest.mark.parametrize(("half", "which"), [(0.55, 0), (0.62, 1)])
+def test_a_proportional_valve_has_half_of_its_flow_at_the_declared_duty(half, which):
+    """The other valve stays closed."""
+    valves = ProportionalValves(1.5, half_fill=0.55, half_vent=0.62, response=5e-3)
+    error = half / MAX_DUTY * FULL_DUTY_ERROR * (1.0 - 2.0 * which)
+    p = jnp.full(2, 2e5)
+    x = Chamber(p, p + error, jnp.asarray(0.1), np.array([0.0, 1.0]), jnp.ones(2), valves.start(p))
+    wanted = np.asarray(valves.state_rates(jnp.zeros(2), x)) * 5e-3
+    np.testing.assert_allclose(wanted[which], 0.5, rtol=1e-12)
+    assert np.all(wanted[1 - which] < 1e-6)
+
+
+@pytest.mark.parametrize(
+    "valves", [FirmwareValves(fill=1.5), PulsedValves(fill=1.5), ProportionalValves(fill=1.5)]
+)
 def test_the_lag_does_not_affect_valves_that_replace_it(valves):
     """This holds even if its time constant is a fraction of the step."""
     t = strides(57)
