@@ -71,7 +71,7 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
     `J` are the last tangents that were computed. They are used if they contain all parameters that
     the final fit keeps.
     An alternative that cannot be fitted remains in the class if it was in the class before. If a
-    residual exceeds the noise floor, no class changes.
+    residual exceeds the noise floor, a class loses only effects that the model also contains.
     """
     settings = refits.settings
     for round_ in found.rounds:
@@ -103,6 +103,11 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
                     fewer,
                     _agreement(refits, found, name, fit),
                 )
+    for round_ in found.rounds:
+        # The model needs a selected effect beside the round's chosen effect.
+        needed = [n for n, x in round_.alternatives.items() if x.is_excluded(settings)]
+        both = set(needed) & set(found.effects)
+        round_.equivalent = [n for n in round_.equivalent if n not in both]
     if any(x.above(settings.noise_floor) for x in tested_excess(problem, final).values()):
         return
     for round_ in found.rounds:

@@ -97,13 +97,18 @@ def fix_undetermined_shapes(
         if not widths:
             return fit
         widest = max(widths, key=lambda i: widths[i])
-        theta = fit.theta.copy()
-        theta[widest] = entries[widest].prior.null
-        variance = np.diag(fit.covariance)[fit.free == widest].item()
-        loss = (theta[widest] - fit.theta[widest]) ** 2 / variance
-        if loss > settings.removal_loss_factor * least:
+        distance = entries[widest].prior.null - fit.theta[widest]
+        covariance = fit.covariance[fit.free == widest][0]
+        variance = covariance[fit.free == widest].item()
+        if distance**2 > settings.removal_loss_factor * least * variance:
             kept.add(widest)
             continue
+        # The other parameters start at their linear optimum for this default.
+        ranges = [(entries[i].prior.low, entries[i].prior.high) for i in fit.free]
+        theta = fit.theta.copy()
+        theta[fit.free] += distance * covariance / variance
+        theta[fit.free] = np.clip(theta[fit.free], *np.array(ranges).T)
+        theta[widest] = entries[widest].prior.null
         fixed = refit(
             fit._replace(theta=theta, free=fit.free[fit.free != widest], linearised_at=None),
             entries,
