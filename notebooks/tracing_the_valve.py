@@ -151,7 +151,7 @@ print(
 
 predicted = outcome.problem.predict(outcome.search.final.theta)
 lagged = outcome.problem.predict(outcome.search.base.theta)
-shown = [outcome.held[0], outcome.held[-1]]
+shown = [outcome.held[0], outcome.held[-2]]  # the first halves of two logs
 figure, axes = plt.subplots(2, len(shown), figsize=(10, 5), sharex="col", layout="constrained")
 for column, i in enumerate(shown):
     record = outcome.problem.records[i]

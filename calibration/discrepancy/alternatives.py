@@ -7,7 +7,8 @@ alternative is substituted for the chosen effect, and all parameters are refitte
 replaces the chosen effect if its fit is better by at least the naming threshold, and if
 cross-validation with the other effects in the model confirms it. An alternative is excluded if its
 fit is worse by at least the naming threshold. All other alternatives form the equivalence class.
-While a residual exceeds the noise floor, an effect is still missing, so no alternative is excluded.
+While a residual exceeds the noise floor, an effect may still be missing. An alternative is then
+excluded only if the model already contains it, and needs the chosen effect too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -103,14 +104,14 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
                     fewer,
                     _agreement(refits, found, name, fit),
                 )
+    above = any(x.above(settings.noise_floor) for x in tested_excess(problem, final).values())
     for round_ in found.rounds:
-        # The model needs a selected effect beside the round's chosen effect.
-        needed = [n for n, x in round_.alternatives.items() if x.is_excluded(settings)]
-        both = set(needed) & set(found.effects)
-        round_.equivalent = [n for n in round_.equivalent if n not in both]
-    if any(x.above(settings.noise_floor) for x in tested_excess(problem, final).values()):
-        return
-    for round_ in found.rounds:
+        if above:
+            # The model already contains such an alternative, and needs the chosen effect too.
+            both = {n for n, x in round_.alternatives.items() if x.is_excluded(settings)}
+            both &= set(found.effects)
+            round_.equivalent = [n for n in round_.equivalent if n not in both]
+            continue
         unjudged = [n for n in round_.equivalent if n not in round_.alternatives]
         round_.equivalent = [
             name for name, x in round_.alternatives.items() if not x.is_excluded(settings)

@@ -339,7 +339,7 @@ def _without_each(refits: Refits, found: Selection) -> dict[str, Fit]:
         null = refits.null(final.theta, groups[name])
         own = {key: x[kept] for key, x in J.items()}
         starts.append(FitStart(null, final.free[kept], final.theta, own))
-    fits = refits.estimated(final, starts, {}, judge=True)
+    fits = refits.raced(final, starts, {}, judge=True)
     return {n: x for n, x in zip(found.effects, fits, strict=True) if x.square < FAILED}
 
 

@@ -23,6 +23,30 @@ def at_edge(x: float, prior: Prior, margin: float) -> bool:
     return low or high
 
 
+def inside(
+    theta: np.ndarray,
+    step: np.ndarray,
+    free: np.ndarray,
+    entries: Sequence[Parameter],
+    settings: SelectionSettings,
+    share: float = 1.0,
+) -> np.ndarray:
+    """Returns theta + share step, with the entries `free` (indices) inside their prior ranges.
+
+    A fit cannot leave a bound of a range. If the step of an entry ends at a bound or beyond, the
+    entry is therefore set back by `initial_step_share` times `share` of its range.
+    """
+    found = theta + share * step
+    for i in (int(i) for i in free if step[i] != 0.0):
+        prior = entries[i].prior
+        margin = share * settings.initial_step_share * (prior.high - prior.low)
+        if found[i] <= prior.low:
+            found[i] = prior.low + margin
+        elif found[i] >= prior.high:
+            found[i] = prior.high - margin
+    return found
+
+
 def widened_prior(prior: Prior, factor: float, is_shape: bool = False) -> Prior:
     """Returns the prior with a range `factor` times as wide about the null.
 
@@ -83,8 +107,8 @@ def fix_undetermined_shapes(
     """Returns `fit`, repeated with undetermined shape parameters fixed at their defaults.
 
     The parameter with the widest interval is fixed first. A parameter stays free if the fit with
-    its default is significantly worse, because the data then contradict the default. There is no
-    such fit if the predicted loss is far above the limit.
+    its default is significantly worse, because the data then contradict the default. The
+    function does not compute this fit if the predicted loss is far above the limit.
     """
     settings, entries, kept = found.settings, found.entries, set[int]()
     least = settings.least_gain(2) - settings.least_gain(1)
@@ -100,14 +124,13 @@ def fix_undetermined_shapes(
         distance = entries[widest].prior.null - fit.theta[widest]
         covariance = fit.covariance[fit.free == widest][0]
         variance = covariance[fit.free == widest].item()
-        if distance**2 > settings.removal_loss_factor * least * variance:
+        if not distance**2 < settings.removal_loss_factor * least * variance < np.inf:
             kept.add(widest)
             continue
         # The other parameters start at their linear optimum for this default.
-        ranges = [(entries[i].prior.low, entries[i].prior.high) for i in fit.free]
-        theta = fit.theta.copy()
-        theta[fit.free] += distance * covariance / variance
-        theta[fit.free] = np.clip(theta[fit.free], *np.array(ranges).T)
+        step = np.zeros(len(fit.theta))
+        step[fit.free] = distance * covariance / variance
+        theta = inside(fit.theta, step, fit.free, entries, settings)
         theta[widest] = entries[widest].prior.null
         fixed = refit(
             fit._replace(theta=theta, free=fit.free[fit.free != widest], linearised_at=None),

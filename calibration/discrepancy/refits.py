@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calibration.discrepancy.ranges import inside
 from calibration.discrepancy.rounds import effect_entries, relative_changes, scoring_entries
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import (
@@ -259,7 +260,8 @@ class Refits:
         The tangents at the null of an effect do not depend on the effect's shape parameters. The
         first fits therefore use the fixed values of `shape_starts`. The best of these fits is then
         continued with free shape parameters. The result is the continued fit, or the fit with the
-        defaults if the free parameters gain less than `least_gain` requires.
+        defaults if the free parameters gain less than `least_gain` requires. With the setting
+        `complete_refits`, each result is a complete fit with free shape parameters.
         """
         if self.settings.complete_refits:
             return [self._complete(current, x, tangents) for x in starts]
@@ -292,7 +294,7 @@ class Refits:
         return chosen
 
     def _complete(self, current: Fit, start: FitStart, tangents: Tangents) -> Fit:
-        """Returns the converged fit of `start`, with the best shape parameters."""
+        """Returns the fit of all parameters of `start`, continued until it has nearly converged."""
         share = self.settings.complete_tolerance_share
 
         def least_decrease(square: float) -> float:
@@ -315,21 +317,16 @@ class Refits:
         """
         added = [int(i) for i in start.free if i not in current.free]
         strengths = np.array([i for i in added if not self.entries[i].is_shape], int)
-        low, high = np.array([[p.prior.low, p.prior.high] for p in self.entries]).T
-        margin, null = np.zeros(len(low)), self.null(start.theta, strengths)
         if not len(strengths):
             return start.theta
+        begin = self.null(start.theta, strengths)
         if any(self.entries[i].prior.start is not None for i in added):
-            begin, step = null, start.theta - null
+            step = start.theta - begin
         else:
-            begin, step = self._linear_step(current, start, null, tangents)
-            margin[strengths] = self.settings.initial_step_share * (high - low)[strengths]
-        # A fit cannot leave a bound of the range.
-        moved = [
-            np.clip(begin + share * step, low + share * margin, high - share * margin)
-            for share in SHARES
+            begin, step = self._linear_step(current, start, begin, tangents)
+        starts = [start.theta] + [
+            inside(begin, step, start.free, self.entries, self.settings, share) for share in SHARES
         ]
-        starts = [start.theta, *moved]
         squares = [
             total(self.problem.residuals(list(predicted), self.white))
             for predicted in zip(*self.problem.coarse(starts), strict=True)
@@ -357,9 +354,10 @@ class Refits:
             J = {key: np.concatenate([x[kept], white[key]]) for key, x in tangents.items()}
             A, b = summed(normal_equations(residuals, J))
             step = np.zeros(len(lane))
-            if np.isfinite(A).all():
+            if np.isfinite(A).all() and np.isfinite(b).all():
                 step[both] = inverse(A) @ b
-            found.append((float(step[both] @ b), -len(found), step))
+            gain = float(step[both] @ b) if step.any() else 0.0
+            found.append((gain, -len(found), step))
         _, best, step = max(found)
         return lanes[-best], step
 

@@ -65,7 +65,8 @@ class SelectionSettings:
     """Whether each candidate is refitted until the fit converges. Otherwise, candidates race on a
     coarse mesh."""
     complete_tolerance_share: float = 0.02
-    """A complete refit ends if the next step would change its gain by less than this fraction."""
+    """A complete refit ends if the next step would lower the sum of squares by less than this
+    fraction of its gain, or of the sum of squares if that is smaller."""
 
     max_effects: int = 3
     """Largest number of effects that the loop adds to the model."""

@@ -16,7 +16,8 @@ from calibration.model.stored_programs import stored_program
 from slider_jax.batch.chunks import available_cores
 
 MOST_MAPS = 40_000
-"""Largest number of memory maps of a process. Linux allows 65,530 by default."""
+"""Largest number of memory maps of a process between two analyses. Linux allows 65,530 by default,
+and the next analysis needs maps too."""
 DIRECTIONS = 8
 """A call of a compiled program computes a multiple of this number of tangents."""
 MOST_DIRECTIONS = 64
@@ -24,11 +25,12 @@ MOST_DIRECTIONS = 64
 
 
 def limit_memory_maps() -> None:
-    """Drops all compiled programs if this process has more than `MOST_MAPS` memory maps.
+    """Clears JAX's caches of compiled programs if this process has over `MOST_MAPS` memory maps.
 
     Each compiled program has memory maps of its own. If a process needs more maps than the
     operating system allows, XLA aborts the process. Call this function between analyses if one
-    process analyses dozens of experiments. Later calls compile their programs again.
+    process analyses dozens of experiments. Later calls compile their programs again, except the
+    programs that `kept_programs` keeps.
     """
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > MOST_MAPS:
@@ -116,14 +118,16 @@ def rows_per_call(k: int) -> int:
 def by_directions(function, directions: np.ndarray, kinds: np.ndarray | None = None) -> np.ndarray:
     """Returns `function(directions)` for `directions` (k, n), in calls of equal numbers of rows.
 
-    The number of rows is a multiple of `DIRECTIONS`, so that few programs are compiled. Rows of the
-    same kind, given by `kinds` (k,), are next to each other in these calls.
+    The number of rows is a multiple of `DIRECTIONS`, so that few programs are compiled. The last
+    row is repeated to fill a call. Rows of the same kind, given by `kinds` (k,), are next to each
+    other in these calls.
     """
     order = np.arange(len(directions)) if kinds is None else np.argsort(kinds, kind="stable")
     rows = rows_per_call(len(directions))
-    padded = np.zeros((-(-len(directions) // rows), rows, directions.shape[1]))
-    padded.reshape(-1, directions.shape[1])[: len(directions)] = directions[order]
-    found = np.concatenate([np.asarray(function(block)) for block in padded])
+    missing = -len(directions) % rows
+    padded = np.pad(directions[order], ((0, missing), (0, 0)), mode="edge")
+    blocks = padded.reshape(-1, rows, directions.shape[1])
+    found = np.concatenate([np.asarray(function(block)) for block in blocks])
     return found[np.argsort(order)]
 
 

@@ -99,7 +99,7 @@ def log_records(log: ManifoldLog) -> list[Record]:
 class LogDrive(eqx.Module):
     """Commands [Pa] of logs at the times `at` [s], and the first measured pressures `start` [Pa].
 
-    Shorter logs are extended, so that all these logs have as many samples as the longest log.
+    Shorter logs are extended, so that all logs of a group have as many samples as its longest log.
     """
 
     at: Float[Array, "logs n"]

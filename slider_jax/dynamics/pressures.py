@@ -144,13 +144,15 @@ def _through_zero(k, flows, y, a0, a1, span):
     share = jnp.where(crosses, p / jnp.where(crosses, p - whole[0], 1.0), 1.0)
     at_zero = a0 + share * (a1 - a0)
     near = _runge_kutta(rate, y, a0, at_zero, share * span)
-    slope = span * rate(near, at_zero)[0]
-    moves = crosses & (slope != 0.0)
-    share = share - jnp.where(moves, near[0] / jnp.where(moves, slope, 1.0), 0.0)
+    slopes = span * rate(near, at_zero)
+    moves = crosses & (slopes[0] != 0.0)
+    first = share
+    share = share - jnp.where(moves, near[0] / jnp.where(moves, slopes[0], 1.0), 0.0)
     share = jnp.clip(share, 0.0, 1.0)
     at_zero = a0 + share * (a1 - a0)
     beyond = _rate(k, flows, jnp.sign(whole[0]))
-    empty = jnp.concatenate([jnp.zeros_like(near[:1]), near[1:]])
+    states = near[1:] + (share - first) * slopes[1:]
+    empty = jnp.concatenate([jnp.zeros_like(near[:1]), states])
     rest = _runge_kutta(beyond, empty, at_zero, a1, (1.0 - share) * span)
     return jnp.where(crosses, rest, whole)
 

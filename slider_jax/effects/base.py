@@ -257,6 +257,8 @@ class Flow(Effect):
 
         An effect with `states` must override this method.
         """
+        if self.states:
+            raise NotImplementedError(f"{self.name()} has states, but no method state_rates")
         return x.states
 
 

@@ -134,6 +134,11 @@ def _rate(effect: Flow, moving: Array) -> Response:
         unchanged.append(rate)
         states.append(effect.state_rates(rate, x))
         memory.append(jnp.zeros((effect.states, 2)))
+        for method, array in (("start", x.states), ("state_rates", states[-1])):
+            if jnp.shape(array) != (effect.states, 2):
+                raise TypeError(
+                    f"{method} returns the shape {jnp.shape(array)}; allowed ({effect.states}, 2)"
+                )
     replaces = jnp.where(jnp.asarray(effect.replaces()), 1.0, 0.0)
     return Response((given, replaces), (unchanged, jnp.zeros(())), states, memory)
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Flow, parameter, shape_parameter
 
-WHY = "six codes (steps) of the converter, 0.93 kPa each"
+WHY = "two codes (steps) of the converter, 0.93 kPa each"
 
 
 class ConverterRipple(Flow):
@@ -16,21 +16,22 @@ class ConverterRipple(Flow):
         dp/dt = (1 + df/dp) q
         f(p)  = a sin(2 pi p/P) + b cos(2 pi p/P) + c sin(pi p/P) + d cos(pi p/P)
 
-    f is the error of the reading, and q is the rate of the true pressure. The errors of two
-    neighbouring bits have the periods P and 2 P. `PressureRipple` is an error that the regulator
-    does not see. Source: integral nonlinearity of converters, IEEE Std 1241-2010.
+    f is the error of the reading p, and q is the rate of the true pressure. Terms of second order
+    in df/dp are neglected. The errors of two neighbouring bits have the periods P and 2 P.
+    `PressureRipple` is an error that the regulator does not see. Source: integral nonlinearity of
+    converters, IEEE Std 1241-2010.
     """
 
     title = "periodic error of the pressure reading that the regulator controls"
     order = 186
 
-    a: Scalar = parameter(0.0, -6e3, 6e3, "Pa", WHY)
+    a: Scalar = parameter(0.0, -2e3, 2e3, "Pa", WHY)
     """a, amplitude of the sine with the period P."""
-    b: Scalar = parameter(0.0, -6e3, 6e3, "Pa", WHY)
+    b: Scalar = parameter(0.0, -2e3, 2e3, "Pa", WHY)
     """b, amplitude of the cosine with the period P."""
-    c: Scalar = parameter(0.0, -6e3, 6e3, "Pa", WHY)
+    c: Scalar = parameter(0.0, -2e3, 2e3, "Pa", WHY)
     """c, amplitude of the sine with the period 2 P."""
-    d: Scalar = parameter(0.0, -6e3, 6e3, "Pa", WHY)
+    d: Scalar = parameter(0.0, -2e3, 2e3, "Pa", WHY)
     """d, amplitude of the cosine with the period 2 P."""
     period: Scalar = shape_parameter(
         32 * 932.8, 8 * 932.8, 128 * 932.8, "Pa", "8 to 128 codes, for the third to the seventh bit"

@@ -29,7 +29,8 @@ class ProportionalValves(Flow):
     of the current, and saturates above it. The valve has half of its flow at the duty h. P_s = p_a
     + p_s is the absolute supply pressure, and p_a the atmospheric pressure. psi(r, b) is the flow
     divided by the choked flow (`orifice_flow.characteristic`). At c_f = 0, the lag is unchanged.
-    The S-shape of the opening was chosen with five of the rig's ten pressure logs. Source: the
+    The S-shape of the opening was chosen with the rig's ten pressure logs. If the
+    sign of the pressure changes, the openings keep their values. Source: the
     paper, section on the pressure control manifold, for the valves; ISO 6358-1 (2013) for psi;
     bvanstratum/SoftSnakePressureControl for the duty.
     """

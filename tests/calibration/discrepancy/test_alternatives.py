@@ -84,6 +84,18 @@ def test_an_alternative_that_is_already_in_the_model_is_excluded():
     assert set(first.alternatives["tank_current"].fit.free) == {0, 3}
 
 
+def test_above_the_noise_floor_a_class_contains_no_effect_that_the_model_also_needs():
+    sums = Sums((1.0, 0.5, 0.0, 0.3), np.stack([BASE, ONE, OTHER, CURRENT]))
+    sums.y += 1.2 * np.sin(np.arange(SAMPLES))
+    found = select_effects(sums, ENTRIES, np.zeros(4), base_names=("k",))
+    assert found.effects == ["firmware_valves", "tank_current"]
+    assert found.final.inflation > DEFAULT_SETTINGS.noise_floor
+    first = found.rounds[0]
+    first.equivalent = ["tank_current", "pulsed_valves"]
+    judge_alternatives(Refits(sums, ENTRIES, {}, print), found)
+    assert first.equivalent == ["pulsed_valves"]
+
+
 def test_an_alternative_whose_law_is_replaced_already_stays_equivalent():
     sums = Sums((1.0, 0.5, 0.0, 0.3), np.stack([BASE, ONE, OTHER, CURRENT]))
     found = select_effects(sums, ENTRIES, np.zeros(4), base_names=("k",))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.discrepancy.ranges import at_edge, edge_parameters, widened_prior
+from calibration.discrepancy.ranges import at_edge, edge_parameters, inside, widened_prior
 from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.gauss_newton import Fit
@@ -38,6 +38,15 @@ def test_null_and_physical_limits_are_no_edges():
     share = Prior(0.0, -0.5, 1.0, "-", "", physical=(-np.inf, 1.0))
     assert not at_edge(1.0, share, 0.01) and at_edge(-0.499, share, 0.01)
     assert widened_prior(share, 3.0)[1:3] == (-1.5, 1.0)
+
+
+def test_a_step_beyond_a_bound_ends_before_it_and_fixed_entries_keep_their_values():
+    entries = [Parameter("leakage", "x", Prior(0.0, 0.0, 10.0, "-", "")) for _ in range(4)]
+    theta, step = np.array([1.0, 1.0, 10.0, 1.0]), np.array([2.0, -5.0, 0.0, 50.0])
+    moved = inside(theta, step, np.array([0, 1, 2]), entries, DEFAULT_SETTINGS)
+    np.testing.assert_allclose(moved, [3.0, 0.2, 10.0, 51.0])
+    half = inside(theta, step, np.array([0, 1, 2]), entries, DEFAULT_SETTINGS, 0.5)
+    np.testing.assert_allclose(half, [2.0, 0.1, 10.0, 26.0])
 
 
 def test_an_undetermined_parameter_that_scores_no_effect_is_not_at_an_edge():

@@ -224,3 +224,50 @@ def test_the_effects_of_the_library_pass_the_check(place):
     for kind in kinds.values():
         module = type("module", (), {"__name__": kind.__module__, kind.__name__: kind})
         assert checked_effects(module, "library", {}) == [kind]
+
+
+SLOW_VALVE = '''"""A valve that opens slowly."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Flow, parameter
+
+
+class SlowValve(Flow):
+    """dp/dt = (1 - a) q + a z/tau, tau dz/dt = q tau - z. Source: this test."""
+
+    title = "valve that opens slowly"
+    states = 1
+
+    a: Scalar = parameter(0.0, 0.0, 1.0, "-", "the range of this test")
+
+    def rate(self, rate, x):
+        return (1.0 - self.a) * rate + self.a * x.states[0] / 0.1
+
+    def state_rates(self, rate, x):
+        return (rate - x.states[0] / 0.1)[None]
+'''
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[None]", "", "state_rates returns the shape (2,); allowed (1, 2)"),
+        ("states = 1", "states = 2", "state_rates returns the shape (1, 2); allowed (2, 2)"),
+        (
+            "def state_rates",
+            "def state_rate",
+            "slow_valve_again has states, but no method state_rates",
+        ),
+        ("- x.states[0] / 0.1)", "/ (x.states[0] * 0.0))", "NaN or infinite"),
+    ],
+)
+def test_the_states_of_a_flow_are_checked(tmp_path, old, new, message):
+    (tmp_path / "good.py").write_text(SLOW_VALVE)
+    load_effects(tmp_path / "good.py")
+    text = SLOW_VALVE.replace("SlowValve", "SlowValveAgain").replace(old, new)
+    (tmp_path / "bad.py").write_text(text)
+    with pytest.raises(InputError) as found:
+        load_effects(tmp_path / "bad.py")
+    assert message in str(found.value)
