@@ -21,7 +21,7 @@ class ChamberSwing(Flow):
     volume, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
-    title = "body that swings and changes the volume of the chambers"
+    title = "swinging body that changes the volume of the chambers"
     order = 184
     states = 2
 

@@ -22,7 +22,7 @@ class ConverterRipple(Flow):
     converters, IEEE Std 1241-2010.
     """
 
-    title = "periodic error of the pressure reading that the regulator controls"
+    title = "periodic error of the reading in the pressure control"
     order = 186
 
     a: Scalar = parameter(0.0, -2e3, 2e3, "Pa", WHY)
