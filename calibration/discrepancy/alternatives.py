@@ -106,16 +106,15 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
                 )
     above = any(x.above(settings.noise_floor) for x in tested_excess(problem, final).values())
     for round_ in found.rounds:
+        excluded = {n for n, x in round_.alternatives.items() if x.is_excluded(settings)}
         if above:
-            # The model already contains such an alternative, and needs the chosen effect too.
-            both = {n for n, x in round_.alternatives.items() if x.is_excluded(settings)}
-            both &= set(found.effects)
-            round_.equivalent = [n for n in round_.equivalent if n not in both]
-            continue
-        unjudged = [n for n in round_.equivalent if n not in round_.alternatives]
-        round_.equivalent = [
-            name for name, x in round_.alternatives.items() if not x.is_excluded(settings)
-        ] + unjudged
+            # The model already contains these alternatives, and needs the chosen effect too.
+            excluded &= set(found.effects)
+            judged: list[str] = []
+        else:
+            judged = list(round_.alternatives)
+        names = dict.fromkeys([*judged, *round_.equivalent])
+        round_.equivalent = [n for n in names if n not in excluded]
 
 
 def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
