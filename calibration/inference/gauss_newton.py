@@ -51,7 +51,8 @@ FRESH_DISTANCE = 0.3
 """A fit may end without new derivatives if the parameters have moved by fewer standard errors than
 this number."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
-"""Fractions of a step that are tried in this order."""
+"""Fractions of a step that are tried in this order. If the predicted gain is below
+`INEXACT_GAIN_TOLERANCE` times the residual's mean square, only the whole step is tried."""
 NEAR_GAIN, INEXACT_NEAR_GAIN, NEAR_SHARES = 1.0, 4.0, (1.0, 0.25)
 """`NEAR_SHARES` replaces `SHARES` if the predicted gain is below `NEAR_GAIN` times the residual's
 mean square. There, the errors of the derivatives can be larger than the derivatives of the sum of
@@ -59,7 +60,8 @@ squares, so that no step lowers it. `INEXACT_NEAR_GAIN` applies to fits that nee
 STALLED = 3
 """A fit ends after this many successive steps whose gain is below the tolerance although the
 predicted gain is above it. Without this limit, a fit of two nearly equal effects of the valves used
-all iterations."""
+all iterations. One such step is enough if its derivatives are new and its predicted gain is below
+`NEAR_GAIN`: better steps need better derivatives."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
 """If the residual's mean square exceeds `POOR_FIT`, the model lacks an effect. Such a fit converges
 slowly, and is repeated with the missing effect. `ROUGH_GAIN_TOLERANCE` therefore replaces
@@ -200,15 +202,17 @@ def fit_gauss_newton(
         enough = unit * (least if unit < POOR_FIT else ROUGH_GAIN_TOLERANCE)
         enough = max(enough, least_decrease(square))
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
+        moved = (theta - origin)[free]
+        recent = fresh or moved @ A @ moved < FRESH_DISTANCE**2 * unit
         if abs(expected) < enough:
-            moved = (theta - origin)[free]
-            if fresh or not exact or moved @ A @ moved < FRESH_DISTANCE**2 * unit:
+            if recent or not exact:
                 converged, near_end = True, origin if exact else None
                 break
             J = None
             continue
         near = expected < unit * (NEAR_GAIN if exact else INEXACT_NEAR_GAIN)
-        shares = (NEAR_SHARES if near else SHARES) if fresh else SHARES[:1]
+        at_end = expected < unit * INEXACT_GAIN_TOLERANCE
+        shares = (NEAR_SHARES if near else SHARES) if fresh and not at_end else SHARES[:1]
         for share in shares if stalled < STALLED else ():
             trial = theta.copy()
             trial[free] = theta[free] + share * step
@@ -222,12 +226,15 @@ def fit_gauss_newton(
                 continue
             error = np.sqrt(unit * np.diag(inverse(A)))
             converged = bool(np.all(np.abs(step) < error))
+            near_end = origin if exact and recent else None
             break
         gained = square - total(found)
         stalled = stalled + 1 if gained < enough else 0
         if share == 1.0 and enough < gained and KEPT_SHARE * expected < gained:
             change = {key: r - found[key] for key, r in residuals.items()}
             J, fresh = broyden_update(J, change, step, A), False
+        elif gained < enough and near and fresh:
+            stalled, fresh = STALLED, False
         else:
             J = None
         theta, predicted, residuals, square = trial, tried, found, total(found)

@@ -28,7 +28,13 @@ from calibration.inference.noise import (
 )
 from calibration.measurements.records import Record
 from calibration.model.compiled import on_all_cores
-from calibration.model.extended import acting_entries, base_values, base_vector, model_parameters
+from calibration.model.extended import (
+    acting_entries,
+    base_values,
+    base_vector,
+    model_parameters,
+    tangent_entries,
+)
 from calibration.model.initial_swing import swing_spans
 from calibration.model.plan import COARSE, FINE, Resolution, TrialPlan, plan_trial
 from calibration.model.predict import compile_readings, predict_each
@@ -325,10 +331,10 @@ class TankProblem(AbstractProblem):
         """Returns calls that compile the programs of readings and tangents, in the order of use."""
         i = int(np.argmin([p.grid.steps for p in self.fine]))
         fine, coarse = self.fine[i], self.coarse_plans[i]
-        acting = acting_entries(model_parameters(coarse.extended.effects), theta)
+        needed = tangent_entries(model_parameters(coarse.extended.effects), theta)
         return [
             lambda: compile_readings(fine, theta),
-            lambda: compile_tangents(coarse, theta, np.eye(len(theta))[acting]),
+            lambda: compile_tangents(coarse, theta, np.eye(len(theta))[needed]),
             lambda: compile_readings(coarse, theta),
         ]
 
@@ -364,8 +370,12 @@ class TankProblem(AbstractProblem):
     def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         if self.maps is None:
             rows, units = np.nonzero(directions)
-            if len(rows) == len(directions) and np.all(directions[rows, units] == 1.0):
-                return [x[units] for x in self._unit_tangents(theta)]
+            entries = model_parameters(self.coarse_plans[0].extended.effects)
+            needed = tangent_entries(entries, theta)
+            other = np.setdiff1d(acting_entries(entries, theta), needed)
+            single = len(rows) == len(directions) and np.all(directions[rows, units] == 1.0)
+            if single and not np.isin(units, other).any():
+                return [x[units] for x in self._unit_tangents(theta, needed)]
             return on_all_cores(lambda p: reading_tangents(p, theta, directions), self.coarse_plans)
 
         def one(job):
@@ -379,23 +389,21 @@ class TankProblem(AbstractProblem):
         along = [directions @ m.matrix.T for m in self.maps]
         return on_all_cores(one, list(zip(self.coarse_plans, self._own(theta), along, strict=True)))
 
-    def _unit_tangents(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Returns the derivatives with respect to every entry; the last result is kept.
+    def _unit_tangents(self, theta: np.ndarray, needed: np.ndarray) -> list[np.ndarray]:
+        """Returns the derivatives by the entries `needed` (indices); the last result is kept.
 
         A fit and the scoring after the fit need different entries at the same `theta`. One program
-        for all entries is compiled faster than a second program. Shape parameters of effects at
-        their null have the derivative zero. The derivatives are stored with single precision.
+        for all entries is compiled faster than a second program. The rows of all other entries are
+        zero. The derivatives are stored with single precision.
         """
         key = theta.tobytes()
         if key not in self._last:
             self._last.clear()
-            entries = model_parameters(self.coarse_plans[0].extended.effects)
-            acting = acting_entries(entries, theta)
-            unit = np.eye(len(theta))[acting]
+            unit = np.eye(len(theta))[needed]
 
             def one(p: TrialPlan) -> np.ndarray:
                 along = np.zeros((len(theta), len(CHANNELS), len(p.at)), np.float32)
-                along[acting] = reading_tangents(p, theta, unit)
+                along[needed] = reading_tangents(p, theta, unit)
                 return along
 
             self._last[key] = on_all_cores(one, self.coarse_plans)

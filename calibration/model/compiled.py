@@ -54,11 +54,10 @@ def compiled_once(function, stored: bool = False):
         if key in ready:
             return ready[key](*arguments)
         with locks[key]:
-            program = ready.get(key)
-            if program is None and stored:
-                program = stored_program(function, arguments)
-            program = program or jitted
-            found = program(*arguments)
+            if key in ready:
+                return ready[key](*arguments)
+            kept = stored_program(function, arguments) if stored else None
+            program, found = (jitted, jitted(*arguments)) if kept is None else kept
             ready[key] = program
         return found
 
@@ -115,20 +114,18 @@ def rows_per_call(k: int) -> int:
     return DIRECTIONS * -(-k // (DIRECTIONS * calls))
 
 
-def by_directions(function, directions: np.ndarray, kinds: np.ndarray | None = None) -> np.ndarray:
+def by_directions(function, directions: np.ndarray, rows: int | None = None) -> np.ndarray:
     """Returns `function(directions)` for `directions` (k, n), in calls of equal numbers of rows.
 
-    The number of rows is a multiple of `DIRECTIONS`, so that few programs are compiled. The last
-    row is repeated to fill a call. Rows of the same kind, given by `kinds` (k,), are next to each
-    other in these calls.
+    The number of rows is a multiple of `DIRECTIONS` (default: `rows_per_call`), so that few
+    programs are compiled. The last row is repeated to fill a call.
     """
-    order = np.arange(len(directions)) if kinds is None else np.argsort(kinds, kind="stable")
-    rows = rows_per_call(len(directions))
+    rows = rows_per_call(len(directions)) if rows is None else rows
     missing = -len(directions) % rows
-    padded = np.pad(directions[order], ((0, missing), (0, 0)), mode="edge")
+    padded = np.pad(directions, ((0, missing), (0, 0)), mode="edge")
     blocks = padded.reshape(-1, rows, directions.shape[1])
     found = np.concatenate([np.asarray(function(block)) for block in blocks])
-    return found[np.argsort(order)]
+    return found[: len(directions)]
 
 
 def stacked(trees: Sequence[Any]) -> Any:

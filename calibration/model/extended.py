@@ -77,12 +77,24 @@ def acting_entries(entries: Sequence[Parameter], theta: np.ndarray) -> np.ndarra
 
     These shape parameters have no influence on the readings.
     """
-    present = {
-        p.effect
-        for p, x in zip(entries, theta, strict=True)
-        if not p.is_shape and x != p.prior.null
-    }
+    present = {p.effect for p, x in zip(entries, theta, strict=True) if _is_moved(p, x)}
     return np.array([i for i, p in enumerate(entries) if not p.is_shape or p.effect in present])
+
+
+def tangent_entries(entries: Sequence[Parameter], theta: np.ndarray) -> np.ndarray:
+    """Returns the indices of the entries whose tangents the loop needs.
+
+    These are the `acting_entries`, except the entries of effects that are at their null and have a
+    `Prior.start`: the loop scores these effects by secants.
+    """
+    present = {p.effect for p, x in zip(entries, theta, strict=True) if _is_moved(p, x)}
+    started = {p.effect for p in entries if p.prior.start is not None} - present
+    return np.array([i for i in acting_entries(entries, theta) if entries[i].effect not in started])
+
+
+def _is_moved(p: Parameter, value: float) -> bool:
+    """Returns whether the value of an effect's parameter makes the effect act."""
+    return bool(p.effect) and not p.is_shape and value != p.prior.null
 
 
 def candidate_effects() -> list[str]:
@@ -194,25 +206,43 @@ def acting_part(
     """Returns the model with the effects of a part; without effects if all are at their null.
 
     The effects stay if one of the `directions` (k, entries) changes a parameter of an effect. The
-    readings are those of the model with all effects. A program without effects takes about half the
-    time of one with all effects.
+    loop scores effects with a `Prior.start` by secants, and their laws take the most time. With
+    `directions`, the model therefore omits these effects if all of them are at their null and no
+    direction changes them. The readings are those of the model with all effects. A program without
+    effects takes about half the time of one with all effects.
     """
-    whole = whole_part(extended, part, theta)
-    own = whole.entries[len(BASE) :]
-    entries = model_parameters(extended.effects)
-    acts = any(theta[i] != entries[i].prior.null and not entries[i].is_shape for i in own)
-    if acts or (directions is not None and directions[:, own].any()):
-        return whole
-    few = whole.entries[: len(BASE)]
-    return PartialModel(replace(whole.extended, effects=()), theta[few], few)
+    acting, started = set(), set()
+    for i, p in enumerate(model_parameters(extended.effects)):
+        changed = directions is not None and directions[:, i].any()
+        if _is_moved(p, theta[i]) or (changed and p.effect):
+            acting.add(p.effect)
+        if p.prior.start is not None:
+            started.add(p.effect)
+    names = _names(extended, part)
+    if acting.isdisjoint(names):
+        return _with_effects(extended, part, theta, [])
+    omitted = started.intersection(names)
+    if directions is None or not acting.isdisjoint(omitted):
+        omitted = set()
+    return _with_effects(extended, part, theta, [n for n in names if n not in omitted])
 
 
 def whole_part(extended: ExtendedModel, part: Part, theta: np.ndarray) -> PartialModel:
     """Returns the model with all effects of a part, and without the effects of the other parts."""
-    names = tuple(n for n in extended.effects if Part.of_kind(KNOWN_EFFECTS[n]) is part)
+    return _with_effects(extended, part, theta, _names(extended, part))
+
+
+def _names(extended: ExtendedModel, part: Part) -> list[str]:
+    return [n for n in extended.effects if Part.of_kind(KNOWN_EFFECTS[n]) is part]
+
+
+def _with_effects(
+    extended: ExtendedModel, part: Part, theta: np.ndarray, names: Sequence[str]
+) -> PartialModel:
+    """Returns a part of the model with the effects `names` of the library."""
     effects = [p.effect for p in model_parameters(extended.effects)]
     entries = np.flatnonzero([not name or name in names for name in effects])
     drag, reactive, *rest = extended.base.effects
     own = (drag, reactive, *(x for x in rest if Part.of_kind(type(x)) is part))
     base = replace(extended.base, effects=own)
-    return PartialModel(replace(extended, base=base, effects=names), theta[entries], entries)
+    return PartialModel(replace(extended, base=base, effects=tuple(names)), theta[entries], entries)

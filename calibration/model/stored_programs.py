@@ -114,8 +114,8 @@ def source_digest() -> str:
     return digest.hexdigest()
 
 
-def stored_program(function: Callable, arguments: Sequence[Any]) -> Callable | None:
-    """Returns the program of `function` for arguments like `arguments`, loaded or compiled now.
+def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callable, Any] | None:
+    """Returns the program of `function`, loaded or compiled now, and its result for `arguments`.
 
     As in `equinox.filter_jit`, arrays may change in later calls, and all other arguments are fixed.
     Returns None if programs are not kept.
@@ -144,20 +144,23 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> Callable | N
 
         before = _cache_hits()
         compiled = jax.jit(flat).lower(*leaves).compile()
-        found = compiled, outs[0]
         if _cache_hits() == before and _version() == folders[-1].name:
-            _store(path, *found)
-    program, out = found
+            _store(path, compiled, outs[0])
+        found = compiled, outs[0], compiled(*leaves)
+    program, out, first = found
 
     def call(*given):
         values = program(*jax.tree.leaves(eqx.filter(given, eqx.is_array)))
         return jax.tree.unflatten(out, values)
 
-    return call
+    return call, jax.tree.unflatten(out, first)
 
 
-def _loaded(path: Path, leaves: Sequence[Any]) -> tuple[Callable, Any] | None:
-    """Returns a stored program and the structure of its result, or None if there is none."""
+def _loaded(path: Path, leaves: Sequence[Any]) -> tuple[Callable, Any, Any] | None:
+    """Returns a stored program, the structure of its result, and its result for `leaves`.
+
+    Returns None if there is no such program.
+    """
     try:
         from jax.experimental.serialize_executable import deserialize_and_load
 
@@ -165,8 +168,7 @@ def _loaded(path: Path, leaves: Sequence[Any]) -> tuple[Callable, Any] | None:
         inputs = jax.tree.structure((tuple(leaves), {}))
         values, out = jax.tree.flatten(example)
         loaded = deserialize_and_load(program, inputs, jax.tree.structure(values))
-        loaded(*leaves)  # an incomplete program fails in its first call
-        return loaded, out
+        return loaded, out, loaded(*leaves)  # an incomplete program fails in its first call
     except Exception:  # whatever is wrong with the file, the program is compiled again
         return None
 

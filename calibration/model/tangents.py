@@ -6,7 +6,7 @@ As in `predict`, the pressures, the robot and the sensors have separate programs
 import jax
 import numpy as np
 
-from calibration.model.compiled import by_directions, compiled_once, with_tangents
+from calibration.model.compiled import by_directions, compiled_once, rows_per_call, with_tangents
 from calibration.model.extended import (
     ExtendedModel,
     Part,
@@ -76,13 +76,13 @@ def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) ->
 
     The tangents of all channels, also of the pressures, are interpolated between time steps.
     """
-    moves_pressures = _moves(p.extended, Part.PRESSURES, directions)
-    moves = moves_pressures | _moves(p.extended, Part.BODY, directions)
-    body = acting_part(p.extended, Part.BODY, theta, directions)
+    pressures = _moves(p.extended, Part.PRESSURES, directions)
+    moves = pressures | _moves(p.extended, Part.BODY, directions)
     found = np.zeros((len(directions), len(p.extended.channels), len(p.at)))
     ideal: list[np.ndarray] = []
 
     def along(d: np.ndarray) -> np.ndarray:
+        body = acting_part(p.extended, Part.BODY, theta, d)
         state = _begin_along(body.extended, body.theta, d[:, body.entries], p.numerics)
         series, d_series = _ideal_tangents(p, theta, d, body, state)
         ideal[:] = [series]
@@ -91,8 +91,11 @@ def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) ->
     def along_sensors(d: np.ndarray) -> np.ndarray:
         return _recorded_tangents(p, theta, d, ideal[0], np.zeros((len(d), *ideal[0].shape)))
 
-    if moves.any():
-        found[moves] = by_directions(along, directions[moves], moves_pressures[moves])
+    # Directions of the pressures, and of the robot, need programs with fewer effects than both.
+    kinds = [x for x in (pressures, moves & ~pressures) if x.any()]
+    rows = max((rows_per_call(int(x.sum())) for x in kinds), default=0)
+    for kind in kinds:
+        found[kind] = by_directions(along, directions[kind], rows)
     if not moves.all():
         if not ideal:
             history = pressure_histories([(p, theta)])

@@ -125,3 +125,27 @@ def test_a_fit_ends_when_its_steps_gain_nothing():
     problem.tangents = lambda theta, directions: [1e7 * exact(theta, directions)[0]]
     found = fit_gauss_newton(problem, ENTRIES, np.array([1.0, 0.9]), np.arange(2))
     assert not found.converged and problem.simulated == 1 + STALLED
+
+
+def test_a_fit_ends_when_errors_of_the_derivatives_hide_the_optimum():
+    """The step with erroneous derivatives is predicted to gain 0.1, but gains almost nothing."""
+    problem, computed = Curve(), []
+    best = fit_gauss_newton(problem, ENTRIES, np.array([3.5, 2.0]), np.arange(2))
+    for _ in range(3):  # the optimum to within less than the tolerance of one fit
+        best = fit_gauss_newton(problem, ENTRIES, best.theta, np.arange(2))
+    residual = problem.y - curve(best.theta)
+    unit = residual / np.linalg.norm(residual)
+    size = np.sqrt(np.linalg.inv(best.covariance)[1, 1])
+
+    def erroneous(theta, directions):
+        computed.append(theta)
+        (J,) = Curve.tangents(problem, theta, directions)
+        # The error depends on theta: each step is predicted to gain 0.05 to 0.1.
+        error = 0.25 * size / np.linalg.norm(residual) * (-1.0) ** len(computed)
+        return [J + error * np.outer(directions[:, 1], unit)]
+
+    problem.tangents = erroneous
+    start = best.theta + np.array([0.0, 0.2 / size])
+    found = fit_gauss_newton(problem, ENTRIES, start, np.arange(2))
+    assert found.converged and len(computed) == 1
+    assert np.all(np.abs(found.theta - best.theta) < 0.5 * best.errors)

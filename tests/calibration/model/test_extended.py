@@ -2,7 +2,14 @@
 
 import numpy as np
 
-from calibration.model.extended import acting_entries, base_vector, model_parameters
+from calibration.model.extended import (
+    Part,
+    acting_entries,
+    acting_part,
+    base_vector,
+    model_parameters,
+    tangent_entries,
+)
 from calibration.model.plan import Resolution, plan_trial
 from slider_jax.effects.library import LIBRARY
 from slider_jax.experiment.load import load
@@ -51,6 +58,30 @@ def test_shapes_of_effects_at_their_null_do_not_act():
     moved = THETA.copy()
     moved[LABELS.index("internal_friction.kappa_c")] = 1.0  # without the effect, no influence
     assert not [i for i in acting_entries(ENTRIES, moved) if ENTRIES[i].is_shape]
+
+
+def test_effects_that_are_scored_by_secants_take_part_only_if_they_act():
+    names = ("leakage", "valve_deadband", "carried_mass")
+    entries = model_parameters(names)
+    theta = base_vector(entries, {"C_d": 3.0, "m_a": 0.7, "k": 0.08, "K_Q": 4.5e-7})
+    leak, band, mass = range(4, 7)
+    given = load(ROOT / "docs" / "experiment.toml")
+    at = 0.002 * np.arange(20)
+    p = plan_trial(given, given.trials[0], names, Resolution(11, 40, 5e-3), at)
+
+    def effects(theta, *moved):
+        directions = np.eye(len(theta))[list(moved)]
+        part = acting_part(p.extended, Part.PRESSURES, theta, directions)
+        assert len(part.theta) == len(part.entries) == len(model_parameters(part.extended.effects))
+        return part.extended.effects
+
+    assert list(tangent_entries(entries, theta)) == [0, 1, 2, 3, leak, mass]
+    assert effects(theta, 0, mass) == ()
+    assert effects(theta, 2, leak) == ("leakage",)
+    assert effects(theta, band) == ("leakage", "valve_deadband")
+    theta[band] = 1e4
+    assert list(tangent_entries(entries, theta)) == [0, 1, 2, 3, leak, band, mass]
+    assert effects(theta, 2, leak) == ("leakage", "valve_deadband")
 
 
 def test_no_effect_has_more_than_two_shapes():

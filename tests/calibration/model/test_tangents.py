@@ -1,0 +1,52 @@
+"""Tangents of the readings, compared with differences of readings."""
+
+import numpy as np
+import pytest
+
+from calibration.model.extended import base_values, base_vector, model_parameters
+from calibration.model.plan import Resolution, plan_trial
+from calibration.model.predict import predict_readings
+from calibration.model.tangents import reading_tangents
+from slider_jax.experiment.load import load
+from tests.support.data import ROOT
+
+NAMES = ("leakage", "line_lag", "clamp_compliance", "force_crosstalk", "valve_deadband")
+
+
+@pytest.fixture(scope="module")
+def trial():
+    given = load(ROOT / "docs" / "experiment.toml")
+    changes = {"trials.0.frequency": 2.0, "trials.0.amplitude": 1.5e5, "trials.0.duration": 0.2}
+    given = given.with_values(changes)
+    p = plan_trial(given, given.trials[0], NAMES, Resolution(11, 40, 5e-3), 5e-3 * np.arange(40))
+    return p, base_vector(model_parameters(NAMES), base_values(given))
+
+
+def test_tangents_agree_with_differences_of_readings(trial):
+    p, theta = trial
+    entries = model_parameters(NAMES)
+    theta = theta.copy()
+    chosen = [i for i, x in enumerate(entries) if not x.is_shape and x.effect != "valve_deadband"]
+    for i in chosen[4:]:  # away from the nulls, where some laws have a kink
+        theta[i] += 0.2 * (entries[i].prior.high - theta[i])
+    unit = np.eye(len(theta))[chosen]
+    found = reading_tangents(p, theta, unit)
+    for row, i in zip(found, chosen, strict=True):
+        step = 1e-4 * (entries[i].prior.high - entries[i].prior.low) * unit[chosen.index(i)]
+        change = (predict_readings(p, theta + step) - predict_readings(p, theta - step)) / (
+            2.0 * step[i]
+        )
+        scale = np.abs(change).max(axis=1, keepdims=True)
+        assert np.all(np.abs(row - change) <= 2e-4 * scale + 1e-9), entries[i].label
+
+
+def test_an_omitted_effect_changes_no_tangent(trial):
+    """Without a direction of `valve_deadband`, the programs do not contain the effect."""
+    p, theta = trial
+    band = [x.effect for x in model_parameters(NAMES)].index("valve_deadband")
+    rest = np.delete(np.eye(len(theta)), band, axis=0)
+    omitted = reading_tangents(p, theta, rest)
+    present = np.delete(reading_tangents(p, theta, np.eye(len(theta))), band, axis=0)
+    scale = np.abs(present).max(axis=2, keepdims=True)
+    assert present.any(axis=(1, 2)).all()
+    assert np.all(np.abs(omitted - present) <= 1e-9 * scale)
