@@ -4,7 +4,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import residual_outliers
@@ -344,7 +343,6 @@ def _without_each(refits: Refits, found: Selection) -> dict[str, Fit]:
     return {n: x for n, x in zip(found.effects, fits, strict=True) if x.square < FAILED}
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
 def conclude(
     experiment: Experiment,
     names: Sequence[str],
@@ -356,10 +354,7 @@ def conclude(
     progress: Callable[[str], None],
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Selects effects, tests them on the held-out trials, refits and reaches a verdict.
-
-    The work has one thread per core, so each call of linear algebra uses one thread.
-    """
+    """Selects effects, tests them on the held-out trials, refits and reaches a verdict."""
     entries = model_parameters(names)
     used = [r for i, r in enumerate(found) if i not in held]
     all_trials = problem_of(found)

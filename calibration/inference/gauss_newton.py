@@ -51,17 +51,19 @@ FRESH_DISTANCE = 0.3
 """A fit may end without new derivatives if the parameters have moved by fewer standard errors than
 this number."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
-"""Fractions of a step that are tried in this order. If the predicted gain is below
-`INEXACT_GAIN_TOLERANCE` times the residual's mean square, only the whole step is tried."""
+"""Fractions of a step that are tried in this order. Only the whole step is tried if the derivatives
+are not new, or if the predicted gain is below `INEXACT_GAIN_TOLERANCE` times the residual's mean
+square: the derivatives belong to a coarser mesh, and near the optimum no step reaches this gain."""
 NEAR_GAIN, INEXACT_NEAR_GAIN, NEAR_SHARES = 1.0, 4.0, (1.0, 0.25)
 """`NEAR_SHARES` replaces `SHARES` if the predicted gain is below `NEAR_GAIN` times the residual's
-mean square. There, the errors of the derivatives can be larger than the derivatives of the sum of
-squares, so that no step lowers it. `INEXACT_NEAR_GAIN` applies to fits that need not be exact."""
+mean square, and above the limit for whole steps. There, the errors of the derivatives can be larger
+than the derivatives of the sum of squares, so that no step lowers it. `INEXACT_NEAR_GAIN` applies
+to fits that need not be exact."""
 STALLED = 3
 """A fit ends after this many successive steps whose gain is below the tolerance although the
 predicted gain is above it. Without this limit, a fit of two nearly equal effects of the valves used
 all iterations. One such step is enough if its derivatives are new and its predicted gain is below
-`NEAR_GAIN`: better steps need better derivatives."""
+`NEAR_GAIN` (or `INEXACT_NEAR_GAIN`): better steps need better derivatives."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
 """If the residual's mean square exceeds `POOR_FIT`, the model lacks an effect. Such a fit converges
 slowly, and is repeated with the missing effect. `ROUGH_GAIN_TOLERANCE` therefore replaces
@@ -174,7 +176,8 @@ def fit_gauss_newton(
     """Returns the fit of the entries `free` (indices) of `theta`; the other entries are fixed.
 
     A step is shortened if the simulation fails. The fit does not converge if the simulation or a
-    tangent at the start fails, or if several steps gain much less than predicted. `white` are the
+    tangent at the start fails, or if steps gain much less than predicted and the next step is not
+    shorter than one standard error. `white` are the
     whiteners of the residuals (default: computed from the readings at the start). Only fits with
     the same whiteners have comparable sums of squares. If `exact` is false, the fit ends
     earlier, and it may end with tangents from differences and Broyden's formula. The fit also ends
@@ -221,7 +224,7 @@ def fit_gauss_newton(
             if total(found) < square:
                 break
         else:
-            if not fresh and stalled < STALLED and (exact or not near):
+            if (not fresh and stalled < STALLED and (exact or not near)) or (exact and not recent):
                 J = None
                 continue
             error = np.sqrt(unit * np.diag(inverse(A)))

@@ -392,9 +392,9 @@ class TankProblem(AbstractProblem):
     def _unit_tangents(self, theta: np.ndarray, needed: np.ndarray) -> list[np.ndarray]:
         """Returns the derivatives by the entries `needed` (indices); the last result is kept.
 
-        A fit and the scoring after the fit need different entries at the same `theta`. One program
-        for all entries is compiled faster than a second program. The rows of all other entries are
-        zero. The derivatives are stored with single precision.
+        A fit and the scoring after the fit need different entries at the same `theta`, and both use
+        the kept result. The rows of all other entries are zero. The derivatives are stored with
+        single precision.
         """
         key = theta.tobytes()
         if key not in self._last:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from calibration.discrepancy.close_loop import LoopOutcome, growth_of_error
 from calibration.discrepancy.refits import Refits, effect_tangents
@@ -216,7 +215,6 @@ class Learning:
         return [x.place for x in rest if x.gain > share * best.gain]
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
 def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) -> Learning | None:
     """Returns the result of learning, or None if the verdict requires no learned function.
 

@@ -117,8 +117,8 @@ def rows_per_call(k: int) -> int:
 def by_directions(function, directions: np.ndarray, rows: int | None = None) -> np.ndarray:
     """Returns `function(directions)` for `directions` (k, n), in calls of equal numbers of rows.
 
-    The number of rows is a multiple of `DIRECTIONS` (default: `rows_per_call`), so that few
-    programs are compiled. The last row is repeated to fill a call.
+    Each call has the number `rows` of directions (default: `rows_per_call`, a multiple of
+    `DIRECTIONS`, so that few programs are compiled). The last row is repeated to fill a call.
     """
     rows = rows_per_call(len(directions)) if rows is None else rows
     missing = -len(directions) % rows

@@ -6,7 +6,13 @@ As in `predict`, the pressures, the robot and the sensors have separate programs
 import jax
 import numpy as np
 
-from calibration.model.compiled import by_directions, compiled_once, rows_per_call, with_tangents
+from calibration.model.compiled import (
+    DIRECTIONS,
+    by_directions,
+    compiled_once,
+    rows_per_call,
+    with_tangents,
+)
 from calibration.model.extended import (
     ExtendedModel,
     Part,
@@ -91,8 +97,10 @@ def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) ->
     def along_sensors(d: np.ndarray) -> np.ndarray:
         return _recorded_tangents(p, theta, d, ideal[0], np.zeros((len(d), *ideal[0].shape)))
 
-    # Directions of the pressures, and of the robot, need programs with fewer effects than both.
-    kinds = [x for x in (pressures, moves & ~pressures) if x.any()]
+    # A call with directions of one kind omits effects of the other kind. With equal numbers of
+    # rows, both calls share the programs in which no effect differs.
+    kinds = [pressures, moves & ~pressures] if moves.sum() > DIRECTIONS else [moves]
+    kinds = [x for x in kinds if x.any()]
     rows = max((rows_per_call(int(x.sum())) for x in kinds), default=0)
     for kind in kinds:
         found[kind] = by_directions(along, directions[kind], rows)

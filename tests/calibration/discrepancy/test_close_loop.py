@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
-from calibration.discrepancy.close_loop import close_loop_on_trials, conclude
+from calibration.discrepancy.close_loop import close_loop_on_trials
 from calibration.discrepancy.page import loop_page
 from calibration.discrepancy.report import (
     error_lines,
@@ -109,26 +108,6 @@ def test_the_verdict_does_not_depend_on_noise_or_order_of_the_trials(delayed, tm
     for seed in (5, 6):
         other = close_small_tank(tmp_path / f"seed_{seed}", truth.effects, seed)
         assert (other.verdict, other.search.effects) == ("identified", ["valve_delay"])
-
-
-def test_each_call_of_linear_algebra_uses_one_thread_in_the_loop(monkeypatch):
-    """The loop has one thread per core already, and more threads would wait for each other."""
-
-    def threads(*_):
-        return {x["num_threads"] for x in threadpool_info() if x["user_api"] == "blas"}
-
-    class Seen(Exception):
-        pass
-
-    def stop(*_):
-        raise Seen(threads())
-
-    monkeypatch.setattr("calibration.discrepancy.close_loop.select_effects", stop)
-    with threadpool_limits(3, user_api="blas"):
-        before = threads()
-        with pytest.raises(Seen) as seen:
-            conclude(None, (), [], [], lambda records: None, BASE, tuple(BASE), print)
-        assert seen.value.args == ({1},) and before == threads() != {1}
 
 
 @pytest.mark.slow

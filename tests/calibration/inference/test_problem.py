@@ -56,6 +56,26 @@ def test_no_tangent_is_computed_for_the_shape_of_an_effect_at_its_null(monkeypat
     assert present[0].any() and computed == [5, 6]
 
 
+def test_tangents_of_an_effect_scored_by_secants_are_computed_if_they_are_asked_for(monkeypatch):
+    tank.replace_the_beam(monkeypatch)
+    computed = []
+
+    def tangents(plan, theta, directions):
+        computed.append([int(i) for i in np.nonzero(directions)[1]])
+        return tank.tangents(plan, theta, directions)
+
+    monkeypatch.setattr(problem, "reading_tangents", tangents)
+    experiment = tank.experiment_of((2.0,))
+    theta = np.array([3.0, 0.7, 0.08, 4.5e-7, 0.0])
+    records = tank.measured(experiment, [theta], 0)
+    found = tank.problem_of(experiment, records, ("valve_deadband",))
+    found.tangents(theta, np.eye(5)[[0]])
+    (asked,) = found.tangents(theta, np.eye(5)[[4]])
+    theta[4] = 1e4
+    found.tangents(theta, np.eye(5)[[4]])
+    assert computed == [[0, 1, 2, 3], [4], [0, 1, 2, 3, 4]] and asked.any()
+
+
 def test_normal_equations_of_single_precision_derivatives_have_double_precision():
     """A sum of single-precision products would lose the difference between both derivatives."""
     rng = np.random.default_rng(0)

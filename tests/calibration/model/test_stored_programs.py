@@ -57,6 +57,15 @@ def test_a_later_process_loads_the_program_without_tracing(folder):
     assert second["pair"][0] == 10.0 and second["pair"][1].tolist() == [0, 1, 2]
 
 
+def test_each_call_of_a_compiled_or_loaded_program_uses_its_own_arguments(folder):
+    for _ in range(2):  # the second program is loaded
+        with kept_programs():
+            call = stored_once(scaled)
+            for x in (jnp.arange(4.0), jnp.arange(1.0, 5.0), jnp.ones(4)):
+                np.testing.assert_array_equal(call(x, 2.0)["value"], 2.0 * x)
+    assert TRACED == [2.0]
+
+
 @pytest.mark.parametrize("given", [(np.arange(4.0), 3.0), (np.arange(5.0), 2.0)])
 def test_other_values_and_shapes_have_other_programs(folder, given):
     later_process(jnp.arange(4.0), 2.0)

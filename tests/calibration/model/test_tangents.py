@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.model.extended import base_values, base_vector, model_parameters
+from calibration.model.extended import Part, acting_part, base_values, base_vector, model_parameters
 from calibration.model.plan import Resolution, plan_trial
 from calibration.model.predict import predict_readings
 from calibration.model.tangents import reading_tangents
@@ -44,9 +44,16 @@ def test_an_omitted_effect_changes_no_tangent(trial):
     """Without a direction of `valve_deadband`, the programs do not contain the effect."""
     p, theta = trial
     band = [x.effect for x in model_parameters(NAMES)].index("valve_deadband")
-    rest = np.delete(np.eye(len(theta)), band, axis=0)
+    unit = np.eye(len(theta))
+    rest = np.delete(unit, band, axis=0)
+    for directions, names in (
+        (rest, ("leakage", "line_lag")),
+        (unit, ("leakage", "line_lag", "valve_deadband")),
+    ):
+        part = acting_part(p.extended, Part.PRESSURES, theta, directions)
+        assert part.extended.effects == names
     omitted = reading_tangents(p, theta, rest)
-    present = np.delete(reading_tangents(p, theta, np.eye(len(theta))), band, axis=0)
+    present = np.delete(reading_tangents(p, theta, unit), band, axis=0)
     scale = np.abs(present).max(axis=2, keepdims=True)
     assert present.any(axis=(1, 2)).all()
     assert np.all(np.abs(omitted - present) <= 1e-9 * scale)
