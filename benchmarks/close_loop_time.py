@@ -1,7 +1,8 @@
 """Measures the time and the memory of `slider close-loop` on simulated tanks.
 
     python benchmarks/close_loop_time.py --out DIR            ten tanks of eight trials, 22.5 s
-    python benchmarks/close_loop_time.py --out DIR --long     longer trials, and more of them
+    python benchmarks/close_loop_time.py --out DIR --long     longer trials, and more of them; the
+                                                              plot is DIR/growth.png
 
 The ten tanks have different missing effects. The first run of the command on a computer compiles
 its programs; the benchmark therefore runs the first tank twice, and reports both runs. The computer
@@ -19,6 +20,7 @@ from typing import Any
 
 from calibration.measurements.synthetic import START, Truth, random_trials, write_tank
 from slider_jax import enable_float64
+from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import write_json
 
 SECONDS = (5.0, 4.0, 3.0, 2.5, 2.0, 2.0, 2.0, 2.0)
@@ -37,10 +39,11 @@ CAUSES: dict[str, dict[str, dict[str, float]]] = {
         "tangential_friction": {"C_t": 0.03},
     },
 }
-LONG = {
+LONG: dict[str, tuple[float, ...]] = {
     "8 trials of 60 s": (60.0,) * 8,
     "50 trials of 5 s": (5.0,) * 50,
     "4 trials of 5 s and 1 of 600 s": (5.0, 5.0, 600.0, 5.0, 5.0),
+    "8 trials of 2 to 5 s": SECONDS,
 }
 
 
@@ -87,6 +90,19 @@ def run(experiment: Path, out: Path) -> dict[str, Any]:
     }
 
 
+def draw_growth(times: dict[str, dict[str, Any]], path: Path) -> None:
+    """Writes a plot of CPU time and peak memory against the duration of all trials."""
+    figure, axes = new_figure(1, 2, figsize=(9.0, 3.6), sharex=True)
+    quantities = {"cpu_s": "CPU time (s)", "peak_GB": "peak memory (GB)"}
+    for ax, (key, label) in zip(axes, quantities.items(), strict=True):
+        for name, marker in zip(times, "osD^", strict=False):
+            ax.plot(sum(LONG[name]), times[name][key], marker, label=name)
+        ax.set(xlabel="duration of all trials (s)", ylabel=label, xlim=(0, None), ylim=(0, None))
+        ax.grid(alpha=0.3)
+    axes[0].legend(fontsize=8)
+    save_figure(figure, path)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, required=True)
@@ -104,6 +120,8 @@ def main() -> None:
             continue
         times[name] = run(path, path.parent / f"loop_{name.replace(' ', '_')}")
         write_json(table, times)
+    if given.long:
+        draw_growth(times, given.out / "growth.png")
     for name, x in times.items():
         named = ", ".join(x["effects"]) or "none"
         print(
