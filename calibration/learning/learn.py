@@ -195,7 +195,9 @@ class Learning:
     estimation: list[int] = field(default_factory=list)
     """Trials that estimate the coefficients."""
     places: list[PlaceGain] = field(default_factory=list)
-    """Result at each place, best first."""
+    """Result at each place: the place of the learned function, then the others, best first."""
+    refused: list[str] = field(default_factory=list)
+    """Places whose terms a later test refused; the next place was tried then."""
     dropped: dict[str, Stability] = field(default_factory=dict)
     """Selected terms that the estimation trials do not confirm."""
     model: LearnedModel | None = None
@@ -212,6 +214,7 @@ class Learning:
         """Other places whose gain is nearly as large as the gain of the best place."""
         share = self.outcome.search.settings.equal_gain_share
         best, *rest = self.places
+        rest = [x for x in rest if x.place not in self.refused]
         return [x.place for x in rest if x.gain > share * best.gain]
 
 
@@ -268,16 +271,18 @@ def _learned(found: Learning, known: Dictionary, progress: Progress) -> Learning
     beside = f" beside {', '.join(known.effects)}" if known.effects else ""
     progress(f"scoring {len(DICTIONARY)} terms of the dictionary{beside}")
     found.places = known.search(found.selection, progress)
-    best = found.places[0]
-    if best.groups:
-        _estimate(found, known, best, progress)
-    else:
-        found.reason = "no term of the dictionary has a significant gain"
+    found.reason = "no term of the dictionary has a significant gain"
+    for place in [x for x in found.places if x.groups]:
+        _estimate(found, known, place, progress)
+        if found.model is not None:
+            found.places = [place, *(x for x in found.places if x is not place)]
+            break
+        found.refused.append(place.place)
     return found
 
 
 def _estimate(found: Learning, known: Dictionary, best: PlaceGain, progress: Progress) -> None:
-    """Fits the terms of the `best` place to the other half, and sets `model` or `reason`."""
+    """Fits the terms of the place `best` to the other half, and sets `model` or `reason`."""
     problem, groups = known.problem.part(found.estimation), scoring_entries(known.entries)
     terms, theta = best.groups, best.fit.theta
     while terms:
@@ -301,7 +306,7 @@ def _estimate(found: Learning, known: Dictionary, best: PlaceGain, progress: Pro
                 fit.blocks,
                 fit.theta[free],
                 np.flatnonzero(np.isin(free, groups[name])),
-                len(terms),
+                len(terms) * (1 + len(found.refused)),
                 fit.inflation,
             )
             for name in terms
@@ -347,7 +352,7 @@ def _conclude(
         found.reason = "the selected terms increase the error in the held-out trials"
         return
     errors = channel_errors(rest, before, after)
-    fit = widen_by_correlation(problem, fit)
+    fit, found.reason = widen_by_correlation(problem, fit), ""
     found.model = LearnedModel(
         known, terms, fit, problem, confirmed, errors, growth, tested, excess, sizes
     )

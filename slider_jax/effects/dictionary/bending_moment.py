@@ -8,6 +8,7 @@ from jaxtyping import Array
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, Curve, parameter, shape_parameter
+from slider_jax.effects.body.internal_friction import dahl_state
 from slider_jax.effects.functions import (
     Basis,
     LocalDrift,
@@ -27,6 +28,12 @@ CORNER = 0.1
 ROOT_CORNER = 0.02
 """Width of the smooth corner of the square root, as a fraction of `RATE`. The slope at the rate 0
 is then 7/`RATE`, less than the slope of dry friction."""
+MEMORY_TIME = 0.3
+"""Time constant [s] of the recent mean square of the curvature: a stride at 3 Hz."""
+FRICTION_CURVATURE = 0.3
+"""Change of the curvature [1/m] in which dry friction builds up: a tenth of `CURVATURE`."""
+FULL_PRESSURE = 200e3
+"""Typical pressure [Pa]. With it, `MOMENT` is the moment of a chamber."""
 WHY = "the elastic moment divided by EI is 3 1/m at kappa = 3 1/m"
 
 
@@ -305,6 +312,66 @@ class DampingOfPressure(ChamberTerm):
 
     def moment(self, x, memory, dt):
         return x.EI * self.of_pressure(x) * x.kappa_t, memory
+
+
+class FrictionOfPressure(ChamberTerm):
+    """M = f(|p|) q in the body, with the pressure p of the chamber and the state q of dry friction.
+
+        0.3/m dq/dt = d(kappa)/dt - |d(kappa)/dt| q
+
+    f is a sum of |p|, p^2 and |p|^3. Source: Dahl's model, see `internal_friction`.
+    """
+
+    title = "dry friction of the body that depends on the pressure"
+    term_curve = Curve("pressure of the chamber", "Pa", "moment of friction", "N m")
+
+    def basis(self, z):
+        return even_powers(z / self.scale, MOMENT)
+
+    def moment(self, x, memory, dt):
+        q = dahl_state(memory, x.kappa_t, dt, FRICTION_CURVATURE)
+        return self.of_pressure(x) * q, q
+
+
+class StiffnessOfRecentBending(CurvatureTerm):
+    """M = EI f(r) kappa in the body, with the recent rms r of the curvature.
+
+        0.3 s d(r^2)/dt = kappa^2 - r^2
+
+    f is a sum of r^2, r^4 and r^6. The stiffness changes while the robot bends, and recovers while
+    the robot is at rest.
+    """
+
+    title = "stiffness of the body that depends on the recent bending"
+    segments = ("body",)
+    term_curve = Curve("recent rms of the curvature", "1/m", "change of the stiffness/EI", "-")
+
+    def basis(self, z):
+        return self.powers_of(jnp.square(z))
+
+    def powers_of(self, square: Array) -> Basis:
+        """Returns the basis functions at the mean square r^2."""
+        q = jnp.minimum(square / self.scale**2, 1.0)
+        return q, q**2, q**3
+
+    def moment(self, x, memory, dt):
+        gain = dt / MEMORY_TIME
+        square = (memory + gain * jnp.square(x.kappa)) / (1.0 + gain)
+        return x.EI * self.cells(x) * self.total(self.powers_of(square)) * x.kappa, square
+
+
+class MomentDrift(LocalDrift, BendingMoment):
+    """M = c p/(200 kPa) (a q + b q^2) in the body, with c = 0.05 N m, q = t/scale and the time t.
+
+    p is the pressure of the chamber.
+    """
+
+    title = "moment of the chambers that drifts during a trial"
+    segments = ("body",)
+    term_curve = Curve("time t", "s", "change of the moment at 200 kPa divided by 0.05 N m", "-")
+
+    def moment(self, x, memory, dt):
+        return MOMENT * x.pressure / FULL_PRESSURE * self.in_cells(x), memory
 
 
 class StiffnessDrift(LocalDrift, BendingMoment):

@@ -17,6 +17,11 @@ term are factors of one of these two."""
 WHY_SCALE = "the pressures of a soft robot"
 
 
+def other_chamber(values: Array) -> Array:
+    """Returns the values of the other chamber; the last axis (2,) is front and rear."""
+    return values[..., ::-1]
+
+
 class FlowTerm(Powers, Flow):
     """dp/dt changes by a sign times f(z). f is a sum of three basis functions of a state z."""
 
@@ -97,6 +102,32 @@ class FlowOfDifference(DifferenceTerm):
         return jnp.ones_like(x.p)
 
 
+class FlowBetweenChambers(FlowTerm):
+    """dp/dt changes by an odd function f of the difference d between the two chambers' pressures.
+
+    d is the pressure of the chamber minus the pressure of the other chamber. f is a sum of a smooth
+    square root (an orifice), a linear function (a narrow gap) and d |d|.
+    """
+
+    title = "flow between the chambers that depends on their pressure difference"
+    term_curve = Curve("difference p - p_other", "Pa", "change of dp/dt", "Pa/s")
+
+    scale: Scalar = shape_parameter(300e3, 1e3, 4e6, "Pa", WHY_SCALE)
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |d|."""
+
+    def state(self, x):
+        return x.p - other_chamber(x.p)
+
+    def basis(self, z):
+        q = jnp.clip(z / self.scale, -1.0, 1.0)
+        linear, quadratic, _ = odd_powers(q, RATE)
+        return RATE * signed_root(q, CORNER), linear, quadratic
+
+    def factor(self, x):
+        return jnp.ones_like(x.p)
+
+
 class FlowOfFilling(DifferenceTerm):
     """d|p|/dt changes by an even function f of p_set - p, so filling and venting differ."""
 
@@ -114,16 +145,16 @@ class FlowOfFilling(DifferenceTerm):
 
 
 class OpeningTerm(Powers, Flow):
-    """1/k changes by a function f of |p|, so dp/dt changes by a part of f (p_set - p)."""
+    """1/k changes by a function f of a state z, so dp/dt changes by a part of f (p_set - p)."""
 
     term_curve = Curve("pressure |p|", "Pa", "change of 1/k", "1/s")
 
     scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", WHY_SCALE)
     """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
-    the visited |p|."""
+    the visited |z|."""
 
     def state(self, x: Chamber) -> Array:
-        """Returns |p| of the chambers."""
+        """Returns the state z of the chambers, |p| by default."""
         return jnp.abs(x.p)
 
     def basis(self, z: Array) -> Basis:
@@ -155,3 +186,20 @@ class VentingOpening(OpeningTerm):
 
     def acts(self, x):
         return ~x.filling
+
+
+class FillingOpeningOfOther(OpeningTerm):
+    """1/k changes by a function f of d while the chamber fills, because both share a supply.
+
+    d is the pressure difference that fills the other chamber: side (p_set - p), or 0 if the other
+    chamber does not fill.
+    """
+
+    title = "valve whose flow depends on the filling of the other chamber"
+    term_curve = Curve("difference that fills the other chamber", "Pa", "change of 1/k", "1/s")
+
+    def state(self, x):
+        return other_chamber(jnp.maximum(x.side * (x.p_set - x.p), 0.0))
+
+    def acts(self, x):
+        return x.filling

@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from typing import ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -13,17 +14,27 @@ from slider_jax.effects.functions import (
     Drift,
     Powers,
     Sine,
+    delayed,
     even_powers,
+    lagged,
     mixed_powers,
     odd_powers,
 )
 
+MEMORY_TIMES = (0.03, 0.3, 3.0)
+"""Time constants [s] of a sensor's memory: from the fastest strides to a whole trial."""
+FRICTION_WIDTHS = (0.1, 0.3, 1.0)
+"""Changes of a reading in which dry friction builds up, divided by the scale of the sensor."""
+DELAY = 0.02
+"""Delay [s] that one unit of a delay's parameters causes: a frame of a camera at 50 Hz."""
 WHY = "a sensor with an error as large as its scale is broken"
 OF_TIME = Curve("time t", "s", "change divided by the scale", "-")
 OF_PHASE = Curve("phase, the fraction of f t", "-", "change divided by the scale", "-")
 OF_READING = Curve("reading divided by its scale", "-", "change divided by the scale", "-")
 OF_PRESSURE = Curve("pressure divided by 100 kPa", "-", "change divided by the scale", "-")
 OF_TIP = Curve("tip position divided by 20 mm", "-", "change divided by the scale", "-")
+OF_STEP = Curve("time t after a step of the reading", "s", "change divided by the step", "-")
+OF_FIRST_LOAD = Curve("first reading divided by its scale", "-", "change divided by the scale", "-")
 OF_GAIN = Curve("time t", "s", "change of the gain", "-")
 
 
@@ -159,6 +170,88 @@ class OtherPowers(SensorPowers):
         return self.total(self.basis(self.state(true))).sum(axis=0)
 
 
+class SensorMemory(Powers, SensorTerm):
+    """f is a sum of three lagged readings, with the time constants in `MEMORY_TIMES`.
+
+        tau dy/dt = q - y,    y(0) = 0
+
+    q is the reading divided by the scale. The sum describes a sensor that creeps, leaks or lags.
+    """
+
+    term_curve = OF_STEP
+
+    def state(self, x: Readings) -> Array:
+        """Returns the time [s]."""
+        return x.t
+
+    def basis(self, z: Array) -> Basis:
+        """Returns the three lagged readings at a time z after a step of size 1."""
+        first, second, third = (1.0 - jnp.exp(-z / tau) for tau in MEMORY_TIMES)
+        return first, second, third
+
+    def change(self, z, true):
+        start = jnp.zeros_like(z[0])
+        first, second, third = (lagged(z, true.t, tau, start) for tau in MEMORY_TIMES)
+        return self.total((first, second, third))
+
+
+class SensorHysteresis(Powers, SensorTerm):
+    """f is a sum of three states of dry friction, with the widths w in `FRICTION_WIDTHS`.
+
+        w dz/dt = dq/dt - |dq/dt| z,    z(0) = 0
+
+    q is the reading divided by the scale. z is between -1 and 1. Source: Dahl's model, see
+    `internal_friction`.
+    """
+
+    term_curve = OF_FIRST_LOAD
+
+    def state(self, x: Readings) -> Array:
+        """Returns the reading, divided by the scale of the sensor."""
+        return self.sensor().of(x)
+
+    def basis(self, z: Array) -> Basis:
+        """Returns the three states after a reading rises from 0 to z."""
+        first, second, third = (
+            jnp.sign(z) * (1.0 - jnp.exp(-jnp.abs(z) / w)) for w in FRICTION_WIDTHS
+        )
+        return first, second, third
+
+    def change(self, z, true):
+        first, second, third = (friction_states(z, w) for w in FRICTION_WIDTHS)
+        return self.total((first, second, third))
+
+
+def friction_states(q: Array, width: float) -> Array:
+    """Returns the state z (n,) of dry friction for readings q (n,). z is 0 at the first reading."""
+
+    def body(z, change):
+        sign = jnp.sign(change)
+        z = sign + (z - sign) * jnp.exp(-jnp.abs(change) / width)
+        return z, z
+
+    _, z = jax.lax.scan(body, jnp.zeros_like(q[0]), jnp.diff(q))
+    return jnp.concatenate([jnp.zeros_like(z[:1]), z])
+
+
+class SensorDelay(SensorPowers):
+    """y_read(t) = y(t - d), with a delay d that is a function of the reading.
+
+    d is a sum of q, |q| and q^2 times `DELAY`. q is the reading divided by the scale.
+    """
+
+    term_curve = Curve("reading divided by its scale", "-", "delay", "s")
+
+    def source(self):
+        return self.sensor()
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale, DELAY)
+
+    def change(self, z, true):
+        return delayed(z, true.t, self.total(self.basis(z))) - z
+
+
 class TimeTerm(Drift, SensorTerm):
     """f depends on a t + b t^2, with the time t of the trial."""
 
@@ -233,6 +326,36 @@ class PressureReadingGainDrift(OfPressure, SensorGainDrift):
     title = "drift of the gain of the pressure sensors"
 
 
+class PressureReadingMemory(OfPressure, SensorMemory):
+    """A memory of the pressure sensors: the readings depend on earlier readings."""
+
+    title = "memory of the pressure sensors"
+
+
+class PressureReadingOfOther(OfPressure, SensorPowers):
+    """An error of each pressure sensor that is a function of the other chamber's pressure.
+
+    f is a sum of q, |q| and q^2. q is the other chamber's pressure divided by 100 kPa.
+    """
+
+    title = "error of the pressure sensors that depends on the other chamber's pressure"
+    term_curve = Curve("other pressure divided by 100 kPa", "-", "change divided by 100 kPa", "-")
+
+    def source(self):
+        return PRESSURE
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale)
+
+    def change(self, z, true):
+        return self.total(self.basis(z))
+
+    def read(self, true):
+        front, rear = self.state(true)
+        of_rear, of_front = (PRESSURE.scale * self.change(z, true) for z in (rear, front))
+        return true._replace(p_front=true.p_front + of_rear, p_rear=true.p_rear + of_front)
+
+
 class PressureReadingSine(OfPressure, SensorSine):
     """A sine in the readings of the pressure sensors."""
 
@@ -261,6 +384,18 @@ class ThrustReadingGainDrift(OfThrust, SensorGainDrift):
     """A drift of the gain of the thrust sensor."""
 
     title = "drift of the gain of the thrust sensor"
+
+
+class ThrustReadingMemory(OfThrust, SensorMemory):
+    """A memory of the thrust sensor: the readings depend on earlier readings."""
+
+    title = "memory of the thrust sensor"
+
+
+class ThrustReadingHysteresis(OfThrust, SensorHysteresis):
+    """A hysteresis of the thrust sensor."""
+
+    title = "hysteresis of the thrust sensor"
 
 
 class ThrustReadingSine(OfThrust, SensorSine):
@@ -313,6 +448,18 @@ class RecoilReadingGainDrift(OfRecoil, SensorGainDrift):
     title = "drift of the gain of the recoil sensor"
 
 
+class RecoilReadingMemory(OfRecoil, SensorMemory):
+    """A memory of the recoil sensor: the readings depend on earlier readings."""
+
+    title = "memory of the recoil sensor"
+
+
+class RecoilReadingHysteresis(OfRecoil, SensorHysteresis):
+    """A hysteresis of the recoil sensor."""
+
+    title = "hysteresis of the recoil sensor"
+
+
 class RecoilReadingSine(OfRecoil, SensorSine):
     """A sine in the readings of the recoil sensor."""
 
@@ -361,6 +508,18 @@ class TipReadingGainDrift(OfTip, SensorGainDrift):
     """A drift of the gain of the tip sensor."""
 
     title = "drift of the gain of the tip sensor"
+
+
+class TipReadingMemory(OfTip, SensorMemory):
+    """A memory of the tip sensor: the readings depend on earlier readings."""
+
+    title = "memory of the tip sensor"
+
+
+class TipReadingDelay(OfTip, SensorDelay):
+    """A delay of the tip sensor that depends on the tip position."""
+
+    title = "delay of the tip sensor that depends on the tip position"
 
 
 class TipReadingSine(OfTip, SensorSine):

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from calibration.learning import learn
-from calibration.learning.learn import learn_terms
+from calibration.learning.learn import Learning, learn_terms
+from calibration.learning.pursuit import PlaceGain
 
 EFFECTS, CORRECTIONS = ["leakage", "camera_delay"], ["leakage"]
 
@@ -78,3 +79,45 @@ def test_a_function_above_the_floor_has_to_improve_the_model(
 def test_no_attempt_is_repeated(monkeypatch):
     assert choice(monkeypatch, [None, None], corrections=[]) == (1, [[], EFFECTS])
     assert choice(monkeypatch, [None, None], corrections=EFFECTS) == (1, [[], EFFECTS])
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "order", "refused", "equal"),
+    [
+        ("Flow", ["Flow", "Command", "Instrument (tip)"], [], ["Command"]),
+        ("Command", ["Command", "Flow", "Instrument (tip)"], ["Flow"], []),
+        ("", ["Flow", "Command", "Instrument (tip)"], ["Flow", "Command"], None),
+    ],
+)
+def test_the_next_place_is_tried_if_the_other_trials_refuse_the_best(
+    monkeypatch, confirmed, order, refused, equal
+):
+    places = [
+        PlaceGain("Flow", ["flow_of_filling"], 100.0, 80.0, None),
+        PlaceGain("Command", ["a_command"], 99.0, 79.0, None),
+        PlaceGain("Instrument (tip)", [], 0.0, 0.0, None),
+    ]
+
+    def estimate(found, known, place, progress):
+        found.reason = f"{place.place} is refused"
+        if place.place == confirmed:
+            found.model, found.reason = SimpleNamespace(above_floor=[]), ""
+
+    monkeypatch.setattr(learn, "_estimate", estimate)
+    settings = SimpleNamespace(equal_gain_share=0.95)
+    outcome = SimpleNamespace(search=SimpleNamespace(settings=settings))
+    known = SimpleNamespace(effects=[], search=lambda chosen, progress: list(places))
+    found = learn._learned(Learning(outcome), known, print)
+    assert [x.place for x in found.places] == order and found.refused == refused
+    assert found.reason == ("" if confirmed else "Command is refused")
+    assert found.reaches_floor == bool(confirmed)
+    if equal is not None:
+        assert found.equal_places == equal
+
+
+def test_without_a_significant_term_nothing_is_estimated(monkeypatch):
+    monkeypatch.setattr(learn, "_estimate", None)
+    places = [PlaceGain("Flow", [], 0.0, 0.0, None)]
+    known = SimpleNamespace(effects=[], search=lambda chosen, progress: places)
+    found = learn._learned(Learning(None), known, print)
+    assert found.model is None and "no term" in found.reason and not found.refused

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration.model.extended import candidate_effects
-from slider_jax.effects import Readings, dictionary
+from slider_jax.effects import Chamber, Readings, dictionary
 from slider_jax.effects.check import checked_effects
 from slider_jax.effects.functions import Powers, even_powers, mixed_powers, odd_powers
 from slider_jax.effects.library import DICTIONARY, LIBRARY
@@ -30,7 +30,7 @@ def test_terms_vanish_at_their_nulls_and_have_finite_tangents(name):
 
 
 def test_the_dictionary_is_no_part_of_the_library():
-    assert len(FILES) == 5 and len(DICTIONARY) == 61
+    assert len(FILES) == 5 and len(DICTIONARY) == 74
     assert not set(DICTIONARY) & (set(LIBRARY) | set(candidate_effects()))
 
 
@@ -83,8 +83,12 @@ def test_powers_are_constant_beyond_the_largest_visited_state():
     np.testing.assert_allclose(odd[2], [-1.0, -1.0, -0.125, 0.125, 1.0, 1.0])
     np.testing.assert_allclose(odd, -odd[:, ::-1])
     np.testing.assert_allclose(even, np.abs(odd))
-    scaled = [kind() for kind in DICTIONARY.values() if issubclass(kind, Powers)]
-    assert len(scaled) == 35
+    scaled = [
+        kind()
+        for kind in DICTIONARY.values()
+        if issubclass(kind, Powers) and "scale" in kind.shapes()
+    ]
+    assert len(scaled) == 41
     for term in scaled:
         ends = np.asarray(term.basis(term.scale * jnp.array([-3.0, -1.0, 1.0, 3.0])))
         np.testing.assert_allclose(ends[:, [0, 3]], ends[:, [1, 2]])
@@ -176,6 +180,106 @@ def test_the_error_of_a_force_sensor_depends_on_another_channel(sensor, other):
         np.testing.assert_array_equal(getattr(read, name), getattr(true, name))
     last = term.read_sample(true, Readings(*(x[:-1] for x in read)))
     np.testing.assert_allclose(last, [x[-1] for x in read])
+
+
+def chambers(p, p_set):
+    """The state of both chambers; k is 0.08 s."""
+    p, p_set = (jnp.asarray(x, float) for x in (p, p_set))
+    zeros = jnp.zeros((0, 2))
+    return Chamber(p, p_set, jnp.asarray(0.08), np.array([0.0, 1.0]), jnp.sign(p), zeros)
+
+
+def test_the_flow_between_the_chambers_is_opposite_in_both():
+    """The flow at the scale is 3 MPa/s per unit of a parameter; the root of 1/4 is 1/2.
+
+    The smooth corner of the root changes it by 0.16 %.
+    """
+    term = DICTIONARY["flow_between_chambers"](a=-0.2, b=0.1, c=0.3, scale=200e3)
+    found = term.rate(jnp.array([1e5, 2e5]), chambers([60e3, 10e3], [0.0, 0.0]))
+    flow = 3e6 * (-0.2 * 0.5 + 0.1 * 0.25 + 0.3 * 0.0625)
+    np.testing.assert_allclose(found, [1e5 + flow, 2e5 - flow], atol=1e3)
+
+
+def test_a_shared_supply_changes_the_flow_only_while_both_chambers_fill():
+    term = DICTIONARY["filling_opening_of_other"](a=-0.5, scale=200e3)
+    rate, front, rear = jnp.array([5e6, -5e6]), [100e3, -50e3], [200e3, -250e3]
+    both = term.rate(rate, chambers(front, rear))
+    # The front misses 100 kPa, which is half of the scale, and the rear misses 200 kPa.
+    np.testing.assert_allclose(both - rate, -0.5 * 12.5 * np.array([1e5 * 1.0, -2e5 * 0.5]))
+    venting = term.rate(rate, chambers(front, [200e3, 0.0]))
+    np.testing.assert_array_equal(venting, rate)
+
+
+def test_friction_that_depends_on_the_pressure_has_the_state_of_dry_friction():
+    x = section(pressure=jnp.asarray(150e3 * Z), kappa_t=jnp.full(5, 40.0))
+    term = DICTIONARY["friction_of_pressure"](a=0.1, b=0.2, c=0.4, scale=150e3)
+    found, q = term.moment(x, jnp.full(5, 0.5), 1e-3)
+    np.testing.assert_allclose(q, (0.5 + 0.04 / 0.3) / (1.0 + 0.04 / 0.3), rtol=1e-3)
+    size = np.abs(Z)
+    expected = q * 0.05 * (0.1 * size + 0.2 * size**2 + 0.4 * size**3)
+    np.testing.assert_allclose(found, np.where(x.in_tail, 0.0, expected))
+
+
+def test_the_stiffness_of_recent_bending_follows_the_mean_square_of_the_curvature():
+    """After ten time constants, the mean square is the square of the curvature."""
+    x, memory = section(kappa=jnp.asarray(2.0 * Z)), jnp.zeros(5)
+    term = DICTIONARY["stiffness_of_recent_bending"](a=-0.3, b=0.2, c=0.3, scale=2.0)
+    first, memory = term.moment(x, memory, 1e-3)
+    assert np.abs(first).max() < 1e-3
+    for _ in range(3000):
+        found, memory = term.moment(x, memory, 1e-3)
+    np.testing.assert_allclose(memory, 4.0 * Z**2, rtol=1e-4)
+    square = Z**2
+    stiffness = 0.04 * (-0.3 * square + 0.2 * square**2 + 0.3 * square**3)
+    np.testing.assert_allclose(found, np.where(x.in_tail, 0.0, stiffness * 2.0 * Z), rtol=1e-3)
+
+
+def test_the_moment_of_a_chamber_drifts_in_proportion_to_its_pressure():
+    x = section(pressure=jnp.full(5, 100e3), t=jnp.asarray(1.0))
+    found = moment("moment_drift", x, a=0.4, b=-0.2, scale=2.0) * x.EI
+    np.testing.assert_allclose(found[:3], 0.05 * 0.5 * (0.4 * 0.5 - 0.2 * 0.25))
+    np.testing.assert_array_equal(found[3:], 0.0)
+
+
+def test_the_memory_of_a_sensor_is_the_step_response_of_its_curve():
+    t = 1e-3 * jnp.arange(600.0)
+    step = jnp.where(t > 0.0, 0.4, 0.0)
+    true = Readings(t, *(5 * [step]))
+    term = DICTIONARY["thrust_reading_memory"](a=0.2, b=-0.3, c=0.5)
+    change = term.read(true).thrust - step
+    curve = sum(f * x for f, x in zip((0.2, -0.3, 0.5), term.basis(t), strict=True))
+    np.testing.assert_allclose(change, 0.4 * curve, atol=2e-3)  # the step takes a millisecond
+    np.testing.assert_allclose(term.basis(jnp.array(0.3))[1], 1.0 - np.exp(-1.0))
+
+
+def test_the_hysteresis_of_a_sensor_depends_on_the_direction():
+    """Each state of friction is 1 while the reading rises, and -1 while it falls."""
+    up = jnp.linspace(0.0, 8.0, 400)
+    y = jnp.concatenate([up, up[::-1]])
+    true = Readings(1e-3 * jnp.arange(800.0), *(5 * [y]))
+    term = DICTIONARY["recoil_reading_hysteresis"](a=0.1, b=0.02, c=0.004)
+    change = np.asarray(term.read(true).recoil - y)
+    np.testing.assert_allclose(change[[0, 399, 799]], [0.0, 0.124, -0.124], atol=1e-3)
+    curve = 0.1 * term.basis(up)[0] + 0.02 * term.basis(up)[1] + 0.004 * term.basis(up)[2]
+    np.testing.assert_allclose(change[:400], curve, atol=1e-9)
+
+
+def test_the_delay_of_the_camera_depends_on_the_tip_position():
+    t = 1e-3 * jnp.arange(1000.0)
+    tip = 0.01 * jnp.sin(2.0 * np.pi * t)
+    read = DICTIONARY["tip_reading_delay"](a=0.3, scale=1.0).read(Readings(t, *(5 * [tip]))).tip
+    late = 0.01 * np.sin(2.0 * np.pi * (t - 0.02 * 0.3 * tip / 0.02))
+    np.testing.assert_allclose(read[10:-10], late[10:-10], atol=1e-8)
+
+
+def test_an_error_of_a_pressure_sensor_depends_on_the_other_pressure():
+    true = Readings(jnp.arange(5.0), 1e5 * Z, jnp.full(5, 1e5), Z, Z, Z)
+    read = DICTIONARY["pressure_reading_of_other"](a=0.1, b=0.2, c=0.4, scale=2.0).read(true)
+    np.testing.assert_allclose(read.p_front - true.p_front, 1e5 * (0.05 + 0.1 + 0.1))
+    q = 0.5 * Z
+    np.testing.assert_allclose(
+        read.p_rear - true.p_rear, 1e5 * (0.1 * q + 0.2 * np.abs(q) + 0.4 * q**2)
+    )
 
 
 SINES = [k for k, kind in DICTIONARY.items() if "frequency" in kind.shapes()]
