@@ -177,6 +177,19 @@ class Delayed(Waveform):
         )
 
 
+class Stretched(Waveform):
+    """`wave` at the times (1 - `slow`) t, as a clock generates it that is slow by this fraction."""
+
+    wave: Waveform
+    slow: Scalar
+
+    def segment(self, t0, t1):
+        rate = 1.0 - self.slow
+        x = self.wave.segment(rate * t0, rate * t1)
+        t_break = t0 + (x.t_break - x.t0) / rate
+        return Segment(t0, t_break, t1, x.a0, x.a1, x.b0, x.b1)
+
+
 class Shaped(Waveform):
     """The set pressure curve(wave), for a function `curve` of a set pressure [Pa].
 

@@ -1,10 +1,11 @@
 """Set pressure, flow and acting pressure: each effect's history against a closed form."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax.actuation import Ideal, Recorded
+from slider_jax.actuation import Ideal, Recorded, SquareWave
 from slider_jax.beam.parameters import Robot
 from slider_jax.dynamics.model import make_mesh
 from slider_jax.effects.pneumatics.actuator_creep import ActuatorCreep
@@ -16,6 +17,7 @@ from slider_jax.effects.pneumatics.chamber_crosstalk import ChamberCrosstalk
 from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE, ChamberExpansion
 from slider_jax.effects.pneumatics.chamber_mismatch import ChamberMismatch
 from slider_jax.effects.pneumatics.choked_flow import ChokedFlow
+from slider_jax.effects.pneumatics.drive_clock import DriveClock
 from slider_jax.effects.pneumatics.flow_exponent import FlowExponent
 from slider_jax.effects.pneumatics.leakage import Leakage
 from slider_jax.effects.pneumatics.line_lag import LineLag
@@ -28,7 +30,18 @@ from slider_jax.effects.pneumatics.side_lag import SideLag
 from slider_jax.effects.pneumatics.side_mismatch import SideMismatch
 from slider_jax.effects.pneumatics.supply_depletion import SupplyDepletion
 from slider_jax.effects.pneumatics.supply_limit import SupplyLimit
-from tests.support.chambers import A, K, chambers, held, relaxation, square, strides
+from tests.support.chambers import (
+    LAG,
+    A,
+    F,
+    K,
+    chambers,
+    held,
+    pressure_history,
+    relaxation,
+    square,
+    strides,
+)
 from tests.support.helpers import SMALL, order
 
 FLOWS = [
@@ -64,6 +77,27 @@ def test_rear_valve_delay_shifts_only_the_rear_chamber():
     np.testing.assert_array_equal(got[:, 0], plain[:, 0])
     np.testing.assert_array_equal(got[: late + 1, 1], 0.0)
     np.testing.assert_allclose(got[late:, 1], plain[:-late, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize("slow", [0.02, -0.03])
+def test_a_slow_clock_of_the_drive_lowers_its_frequency(slow):
+    t = strides(114)
+    front, rear = (SquareWave(F * (1.0 - slow), A, phase) for phase in (0.0, 0.15))
+    expected = chambers([], front, rear, t).p
+    assert np.max(np.abs(expected - square([], t).p)) > 0.1 * A
+    np.testing.assert_allclose(square([DriveClock(slow)], t).p, expected, atol=1e-6 * A)
+
+
+def test_the_tangent_of_a_slow_clock_is_the_difference_of_pressures():
+    """Edges move in proportion to the time; 0.3 s avoids the edges themselves."""
+    t = jnp.asarray(np.append(np.arange(0.0, 0.3, 0.004), 0.3))
+
+    def last(slow):
+        return pressure_history(LAG, DriveClock(slow).command(SquareWave(F, A), 0), 0.0, t)[-1]
+
+    difference = (last(jnp.asarray(1e-4)) - last(jnp.asarray(-1e-4))) / 2e-4
+    assert abs(difference) > 0.1 * A
+    np.testing.assert_allclose(jax.jacfwd(last)(jnp.asarray(0.0)), difference, rtol=1e-5)
 
 
 @pytest.mark.parametrize("effect", FLOWS, ids=lambda e: e.name())
