@@ -2,6 +2,7 @@
 
 import csv
 import math
+from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
@@ -81,6 +82,8 @@ def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
 def _check_header(name: str, header: list[str]) -> list[Finding]:
     if "t_s" not in header:
         detail = f"the first line has no column t_s; its columns are {', '.join(header)[:80]}"
+        if len(header) == 1 and ";" in header[0]:
+            detail += "; separate the cells with commas, and write decimals with points"
         raise Unusable(name, "missing_column", detail)
     repeated = sorted({x for x in channel_columns() if header.count(x) > 1})
     if repeated:
@@ -91,8 +94,11 @@ def _check_header(name: str, header: list[str]) -> list[Finding]:
         if column not in header:
             unknown = [x for x in header if x not in channel_columns()]
             ignored = f"; unknown columns {', '.join(unknown)[:80]} are ignored" if unknown else ""
+            near = get_close_matches(column, unknown, 1)
+            hint = f"; rename {near[0]} if it is {column}" if near else ""
             detail = (
-                f"the file has no column {column}{ignored}; all known columns of the file are used"
+                f"the file has no column {column}, so this sensor is not used{ignored}{hint}; the "
+                "other columns are used"
             )
             findings.append(Finding(name, "missing_column", column, None, None, detail, "used"))
     return findings

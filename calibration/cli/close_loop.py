@@ -44,7 +44,12 @@ def close_loop(
     from threadpoolctl import threadpool_limits
 
     from calibration.discrepancy.page import loop_page
-    from calibration.discrepancy.report import error_lines, loop_model_toml, parameter_lines
+    from calibration.discrepancy.report import (
+        choice_sentence,
+        error_lines,
+        loop_model_toml,
+        parameter_lines,
+    )
     from calibration.inference.cache import input_settings, resumable
     from calibration.learning.report import learned_lines, learned_model_toml, learned_parts
     from calibration.model.stored_programs import kept_programs
@@ -68,7 +73,8 @@ def close_loop(
     with one_thread, kept_programs(), resumable(out, settings) as memo:
         _announce_replacement(out)
         outcome, record, learning = close(given, names, inputs, memo, progress, seconds)
-        record["candidate_choice"] = choice
+        record["candidate_choice"] = choice | _counted(given, names)
+        record["said"] = f"{record['said']} {choice_sentence(record['candidate_choice'])}".rstrip()
         with staged(out) as stage:
             write_json(stage / "report.json", record)
             model_toml, shown = loop_model_toml(outcome), None
@@ -102,16 +108,26 @@ def _are_logs(inputs: tuple[Path, ...], model: Path | None) -> bool:
 
 def _candidates(given: Any, only: tuple[str, ...], without: tuple[str, ...]) -> list[str]:
     """Returns the names of the candidate effects for an experiment or for logs `given`."""
-    from calibration.model.extended import candidate_effects
-    from calibration.pressure_logs.problem import log_candidates
-
-    known = log_candidates() if isinstance(given, list) else candidate_effects()
-    refuse_unknown("--only", only, known)
-    refuse_unknown("--without", without, known)
+    known = _known(given)
+    for option, chosen in (("--only", only), ("--without", without)):
+        listed = "the names that slider effects lists, and those of --effects FILE.py"
+        refuse_unknown(option, chosen, known, listed)
     names = [n for n in known if (n in only or not only) and n not in without]
     if not names:
         raise InputError("--only, --without: no candidate effect remains; give other names")
     return names
+
+
+def _known(given: Any) -> list[str]:
+    """Returns the names of all candidate effects for an experiment or for logs `given`."""
+    from calibration.model.extended import candidate_effects
+    from calibration.pressure_logs.problem import log_candidates
+
+    return log_candidates() if isinstance(given, list) else candidate_effects()
+
+
+def _counted(given: Any, names: list[str]) -> dict[str, int]:
+    return {"tested": len(names), "known": len(_known(given))}
 
 
 def _announce_replacement(out: Path) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.localise import residual_text
 from calibration.discrepancy.report import (
+    choice_sentence,
     discrepancy_sentences,
     effect_sentences,
     instability_sentences,
@@ -40,6 +41,7 @@ def loop_page(
     `learned` contains the picture and the table of errors of a learned function.
     """
     known, settings = dict(record["parameters"]), outcome.search.settings
+    choice = record.get("candidate_choice")
     for effect in record["effects"]:
         known |= {f"{effect['name']}.{n}": x for n, x in effect["parameters"].items()}
     head, before = ["parameter", "value", "95 % interval", "unit", "started from"], ["given"]
@@ -63,7 +65,11 @@ def loop_page(
             ]
             for x in record["effects"]
         ],  # fmt: skip
-        effect_lines=effect_sentences(outcome) + veto_sentences(outcome),
+        effect_lines=[
+            *effect_sentences(outcome),
+            *veto_sentences(outcome),
+            *([choice_sentence(choice)] if choice else []),
+        ],
         residual_line=residual_sentence(outcome),
         effect_files=_sources({"logs": record["effect_files"]}),
         errors=_errors(record["errors"]),
@@ -181,6 +187,7 @@ def _alternatives(effects: list[dict[str, Any]]) -> list[list[str]]:
             f"{x['name']} for {effect['name']}", f"{x['loss']:.4g}",
             ", ".join(f"{c} {100.0 * size:.2g} %" for c, size in x["channels"].items()),
             "yes" if x["told_apart"] else "no",
+            ", ".join(f"{n} = {value:.4g}" for n, value in x["parameters"].items()),
         ]
         for effect in effects
         for x in effect["rivals"]

@@ -1,6 +1,6 @@
 """Writes the loop's outcome as report.json, model.toml and text."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -27,6 +27,9 @@ from slider_jax.io.toml import toml_text
 REPEATABLE_RATIO = 1.3
 """The report states a repeatable error of the thrust if the error exceeds this multiple of the
 discrepancy's lower limit. This is about twice the extrapolated discretisation error."""
+REPEATABLE_ERRORS = 2.0
+"""The report states a repeatable error of the thrust if it exceeds the discrepancy's lower limit by
+more than this number of standard errors."""
 
 
 def loop_record(
@@ -94,6 +97,9 @@ def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
                         "loss": a.loss,
                         "channels": a.sizes,
                         "told_apart": a.is_excluded(settings),
+                        "parameters": {
+                            outcome.entries[i].label: float(a.fit.theta[i]) for i in a.fit.free
+                        },
                     }
                     for n, a in round_.alternatives.items()
                 ],
@@ -237,12 +243,43 @@ def effect_sentences(outcome: LoopOutcome) -> list[str]:
         if x.equivalent:
             others = ", ".join(x.equivalent)
             text.append(f"These data cannot discriminate between {x.name} and {others}.")
+            text += dependence_sentences(outcome, x)
         text += [_beyond_sentence(x.name, _beyond_record(outcome, i)) for i in x.beyond]
     return text
 
 
 def _titles(effects: Sequence[EffectStatus]) -> str:
-    return ", ".join(f"{LIBRARY[x.name].title} ({x.name})" for x in effects)
+    return ", ".join(
+        f"{LIBRARY[x.name].title} ({x.name})"
+        + (f", or instead {' or '.join(x.equivalent)}" if x.equivalent else "")
+        for x in effects
+    )
+
+
+def dependence_sentences(outcome: LoopOutcome, x: EffectStatus) -> list[str]:
+    """Returns a sentence on each base parameter whose value depends on which effect is the cause.
+
+    An equivalent effect can give a base parameter a value outside the 95 % interval of the final
+    model, because the interval assumes that the chosen effect is the cause.
+    """
+    round_ = next(r for r in outcome.search.rounds if r.chosen == x.name)
+    text = []
+    for i, p in enumerate(outcome.entries):
+        if p.effect or i not in outcome.final.free:
+            continue
+        value, low, high = outcome.interval(i)
+        unit = "" if p.prior.unit == "-" else f" {p.prior.unit}"
+        others = [
+            f"{a.fit.theta[i]:.4g}{unit} with {name}"
+            for name, a in round_.alternatives.items()
+            if name in x.equivalent and i in a.fit.free and not low <= a.fit.theta[i] <= high
+        ]
+        if others:
+            text.append(
+                f"{p.name} depends on which effect is the cause: {value:.4g}{unit} with {x.name}, "
+                f"{', '.join(others)}."
+            )
+    return text
 
 
 def _beyond_sentence(name: str, x: dict[str, Any]) -> str:
@@ -268,6 +305,17 @@ def veto_sentences(outcome: LoopOutcome) -> list[str]:
         f"sum of squares in the held-out trials by {100.0 * np.expm1(x.mean):.3g} %."
         for name, x in outcome.search.vetoed.items()
     ]
+
+
+def choice_sentence(choice: Mapping[str, Any]) -> str:
+    """Returns a sentence if the search was restricted to a part of the candidates, or ""."""
+    if choice["tested"] == choice["known"]:
+        return ""
+    options = [f"--{x} {' '.join(choice[x])}" for x in ("only", "without") if choice[x]]
+    return (
+        f"Only {choice['tested']} of {choice['known']} candidates were tested "
+        f"({', '.join(options)}). Other effects may fit equally well."
+    )
 
 
 def residual_sentence(outcome: LoopOutcome) -> str:
@@ -371,6 +419,9 @@ def discrepancy_sentences(outcome: LoopOutcome) -> list[str]:
     """Returns a sentence if the data contain a repeatable error of the thrust."""
     x = outcome.search.measured.get("thrust")
     if x is None or x.measured is None or x.measured <= REPEATABLE_RATIO * x.lower_limit:
+        return []
+    error = x.used - x.measured if x.declared is None else 0.0
+    if x.measured - REPEATABLE_ERRORS * error <= x.lower_limit:
         return []
     least = "at least " if x.measured >= CHANNELS["thrust"].discrepancy else ""
     return [

@@ -195,7 +195,16 @@ def test_a_missing_column_is_reported_with_the_unknown_ones(tank):
     lines_of(tank, 3, lambda x: [x[0].replace("tip_m", "tip_mm"), *x[1:]])
     found = audited(tank)
     only(found, 3, ("missing_column", "tip_m", "used"))
-    assert "tip_mm" in found.findings[0].detail
+    detail = found.findings[0].detail
+    assert "tip_mm are ignored; rename tip_mm if it is tip_m" in detail
+    assert "this sensor is not used" in detail
+
+
+def test_semicolons_between_the_cells_are_named(tank):
+    lines_of(tank, 3, lambda x: [line.replace(",", ";") for line in x])
+    found = audited(tank)
+    only(found, 3, ("missing_column", None, "left out"))
+    assert "separate the cells with commas" in found.findings[0].detail
 
 
 @pytest.mark.parametrize("number", [1, 6])

@@ -4,14 +4,16 @@ Each effect adds a tone to the thrust; the effects' physical meaning is not used
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calibration.discrepancy.close_loop import conclude
 from calibration.discrepancy.page import loop_page
-from calibration.discrepancy.report import loop_record
+from calibration.discrepancy.report import discrepancy_sentences, loop_record
 from calibration.discrepancy.selection import select_effects
+from calibration.inference.measured_discrepancy import Discrepancy
 from calibration.inference.problem import TankProblem
 from calibration.model.extended import BASE, base_values, base_vector, model_parameters
 from calibration.model.plan import Resolution
@@ -108,3 +110,18 @@ def test_a_repeating_error_is_reported_and_is_no_missing_effect():
     sentence = f"repeatable error of {100.0 * thrust['measured']:.2g} % of the thrust"
     assert sentence in record["said"] and sentence in page
     assert f"<td>{100.0 * thrust['used']:.2g} %</td>" in page
+
+
+@pytest.mark.parametrize(
+    ("measured", "used", "declared", "stated"),
+    [
+        (0.03, 0.034, None, True),
+        (0.013, 0.023, None, False),  # 1.3 % with a standard error of 1 %
+        (0.013, 0.013, 0.013, True),
+        (0.005, 0.0051, None, False),  # not above the model's own error
+    ],
+)
+def test_a_repeating_error_within_its_own_error_is_not_stated(measured, used, declared, stated):
+    found = {"thrust": Discrepancy(declared, 0.004, measured, used)}
+    outcome = SimpleNamespace(search=SimpleNamespace(measured=found))
+    assert bool(discrepancy_sentences(outcome)) == stated

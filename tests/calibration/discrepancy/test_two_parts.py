@@ -12,8 +12,8 @@ import pytest
 from calibration.discrepancy import close_loop
 from calibration.discrepancy.close_loop import conclude
 from calibration.discrepancy.page import loop_page
-from calibration.discrepancy.report import loop_model_toml, loop_record
-from calibration.discrepancy.rounds import Growth, relative_changes
+from calibration.discrepancy.report import choice_sentence, loop_model_toml, loop_record
+from calibration.discrepancy.rounds import Alternative, Growth, relative_changes
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, base_values
 from slider_jax.channels import CHANNELS, row_of
@@ -111,6 +111,49 @@ def test_an_effect_that_leaves_a_residual_is_a_correction():
     assert "The model lacked" not in record["said"]
     assert "<td>provisional</td>" in page and 'name = "carried_mass"' in model
     assert record["errors"]["thrust"]["after"] < record["errors"]["thrust"]["before"]
+
+
+def test_a_restricted_search_is_stated():
+    def sentence(tested, only=(), without=()):
+        return choice_sentence({"tested": tested, "known": 98, "only": only, "without": without})
+
+    assert sentence(98) == ""
+    assert sentence(2, only=["leakage", "valve_delay"]) == (
+        "Only 2 of 98 candidates were tested (--only leakage valve_delay). "
+        "Other effects may fit equally well."
+    )
+    assert "(--without leakage)" in sentence(97, without=["leakage"])
+    outcome = conclusion((0.0, 0.25, 0.0, 0.0))
+    record, page, _ = report(outcome)
+    choice = {"tested": 3, "known": 98, "only": list(NAMES), "without": []}
+    stated = choice_sentence(choice)
+    assert stated not in page
+    assert stated in loop_page(outcome, record | {"candidate_choice": choice})
+
+
+def test_a_base_parameter_that_depends_on_the_equivalent_effect_is_stated():
+    """The fit with the equivalent effect has another C_d, and a k inside the interval."""
+    outcome = conclusion((0.0, 0.25, 0.0, 0.0))
+    (round_,) = [r for r in outcome.search.rounds if r.chosen == "chamber_mismatch"]
+    fit = outcome.search.final
+    labels = [p.label for p in outcome.entries]
+    C_d, k = labels.index("C_d"), labels.index("k")
+    theta = fit.theta.copy()
+    theta[C_d], theta[k] = 4.0, outcome.final.theta[k]
+    round_.equivalent = ["body_stiffness"]
+    other = Alternative(fit._replace(theta=theta), 0.5, {"thrust": 0.001}, {"thrust": 0.01})
+    round_.alternatives = {"body_stiffness": other}
+    record, page, model = report(outcome)
+    value = outcome.final.theta[C_d]
+    stated = (
+        "C_d depends on which effect is the cause: "
+        f"{value:.4g} with chamber_mismatch, 4 with body_stiffness."
+    )
+    assert stated in record["said"] and stated in page and stated in model
+    assert "k depends on" not in record["said"]
+    assert "(chamber_mismatch), or instead body_stiffness." in record["said"]
+    (rival,) = record["effects"][0]["rivals"]
+    assert rival["parameters"]["C_d"] == 4.0 and "C_d = 4," in page
 
 
 def test_an_effect_that_the_held_out_trials_contradict_is_removed():
