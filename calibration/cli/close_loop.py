@@ -41,8 +41,6 @@ def close_loop(
         model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
             its [[effects]] are added.
     """
-    from threadpoolctl import threadpool_limits
-
     from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import (
         choice_sentence,
@@ -67,10 +65,7 @@ def close_loop(
     close = _close_on_experiment if isinstance(given, Experiment) else _close_on_logs
     names = _candidates(given, only, without)
     choice = {"only": sorted(only), "without": sorted(without)}
-    # The work has one thread per core already, so each call of linear algebra uses one thread.
-    one_thread = threadpool_limits(1, user_api="blas")
-    settings = input_settings(files, folder) | choice
-    with one_thread, kept_programs(), resumable(out, settings) as memo:
+    with kept_programs(), resumable(out, input_settings(files, folder) | choice) as memo:
         _announce_replacement(out)
         outcome, record, learning = close(given, names, inputs, memo, progress, seconds)
         record["candidate_choice"] = choice | _counted(given, names)

@@ -236,8 +236,8 @@ def effect_sentences(outcome: LoopOutcome) -> list[str]:
         text.append(f"As {as_}, the model contains: {_titles(corrections)}.")
         if channels:
             text.append(
-                f"{these} may only resemble the cause, because the residual of {channels} remains "
-                "above the noise floor."
+                f"{these} may only resemble the cause, because the residual of {channels} is not "
+                "only noise."
             )
     for x in found:
         if x.equivalent:
@@ -324,16 +324,25 @@ def residual_sentence(outcome: LoopOutcome) -> str:
     if not above:
         return "The residual is at the noise floor."
     fitted = [outcome.problem.records[i] for i in outcome.used_trials]
-    parts = []
+    large, patterned = list[str](), list[str]()
     for c in above:
         x, text = outcome.excess[c], []
-        if x.all > outcome.search.settings.noise_floor:
+        is_large = x.all > outcome.search.settings.noise_floor
+        if is_large:
             worst = fitted[int(np.nanargmax(x.trials))].trial.file
             text.append(f"mean square {x.all:.3g} times the noise variance, largest in {worst}")
         if x.patterns:
             text.append(pattern_text(max(x.patterns, key=lambda p: p.line)))
-        parts.append(f"{c} ({'; '.join(text)})")
-    return f"The residual is above the noise floor in {', '.join(parts)}."
+        (large if is_large else patterned).append(f"{c} ({'; '.join(text)})")
+    sentences = []
+    if large:
+        sentences.append(f"The residual is above the noise floor in {', '.join(large)}.")
+    if patterned:
+        sentences.append(
+            f"The residual is as small as the noise, but is not white noise, in "
+            f"{', '.join(patterned)}."
+        )
+    return " ".join(sentences)
 
 
 def pattern_text(x: SeriesTest) -> str:

@@ -93,7 +93,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"slider {__version__}")
         return 0
     try:
-        return run_command(arguments)
+        code = run_command(arguments)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # the reader of the output has ended, as in `slider effects | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 0
     except (InputError, SolverError, KeyboardInterrupt, rig_error()) as error:
         stopped = isinstance(error, KeyboardInterrupt)
         text = "interrupted" if stopped else f"error: {error}"

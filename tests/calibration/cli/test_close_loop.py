@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
 from calibration.cli import close_loop as command
 from slider_jax.cli.main import main
@@ -57,25 +56,3 @@ def test_an_interrupted_run_resumes_only_with_the_same_effect_file(tmp_path, int
     loop, lines = interrupted(path)
     assert loop.computed == 2
     assert "other effect files or with other content of these files" in lines[0]
-
-
-def test_each_call_of_linear_algebra_uses_one_thread_in_the_loop(tmp_path, monkeypatch):
-    """The loop has one thread per core already, and more threads would wait for each other."""
-
-    def threads():
-        return {x["num_threads"] for x in threadpool_info() if x["user_api"] == "blas"}
-
-    seen = []
-
-    def loop(*_):
-        seen.append(threads())
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(command, "_close_on_experiment", loop)
-    with threadpool_limits(3, user_api="blas"):
-        before = threads()
-        if not before:
-            pytest.skip("threadpoolctl cannot control the linear algebra of this NumPy")
-        words = ["close-loop", write_small_experiment(tmp_path), "--out", tmp_path / "out"]
-        assert main([str(word) for word in words]) == 130
-        assert seen == [{1}] and before == threads() != {1}

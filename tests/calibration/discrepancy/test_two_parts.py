@@ -12,8 +12,16 @@ import pytest
 from calibration.discrepancy import close_loop
 from calibration.discrepancy.close_loop import conclude
 from calibration.discrepancy.page import loop_page
-from calibration.discrepancy.report import choice_sentence, loop_model_toml, loop_record
+from calibration.discrepancy.report import (
+    choice_sentence,
+    loop_model_toml,
+    loop_record,
+    residual_sentence,
+)
 from calibration.discrepancy.rounds import Alternative, Growth, relative_changes
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
+from calibration.inference.goodness import Excess
+from calibration.inference.whiteness import SeriesTest
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, base_values
 from slider_jax.channels import CHANNELS, row_of
@@ -111,6 +119,23 @@ def test_an_effect_that_leaves_a_residual_is_a_correction():
     assert "The model lacked" not in record["said"]
     assert "<td>provisional</td>" in page and 'name = "carried_mass"' in model
     assert record["errors"]["thrust"]["after"] < record["errors"]["thrust"]["before"]
+
+
+def test_a_residual_below_the_floor_with_a_pattern_is_not_called_larger_than_noise():
+    hum = SeriesTest("trial_00.csv", "tip", 0.0, 1.0, 0.3, 1e-9, 13.0, 2e-4)
+    trials = np.array([0.5])
+    excess = {"tip": Excess(trials, 0.5, (hum,)), "thrust": Excess(np.array([4.0]), 4.0)}
+    outcome = SimpleNamespace(
+        excess=excess,
+        search=SimpleNamespace(settings=DEFAULT_SETTINGS),
+        problem=SimpleNamespace(records=[SimpleNamespace(trial=SimpleNamespace(file="a.csv"))]),
+        used_trials=[0],
+    )
+    assert residual_sentence(outcome) == (
+        "The residual is above the noise floor in thrust (mean square 4 times the noise variance, "
+        "largest in a.csv). The residual is as small as the noise, but is not white noise, in tip "
+        "(trial_00.csv has a sine of 13 Hz with an amplitude of 0.2 mm)."
+    )
 
 
 def test_a_restricted_search_is_stated():

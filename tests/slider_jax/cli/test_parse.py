@@ -1,6 +1,7 @@
 """Tests of invalid arguments of a command line: exit code 2 and one line with the reason."""
 
 import io
+import subprocess
 import sys
 from dataclasses import fields
 
@@ -86,3 +87,12 @@ def test_negative_numbers_are_read_as_values(capsys):
     words = (*MATRIX, "--phase", "-0.3", "0.3", "--separate", "leakage", "orifice_flow")
     assert main(words) == 2
     assert "x.toml: no such file" in capsys.readouterr().err
+
+
+def test_a_reader_that_ends_early_causes_no_error():
+    """As in `slider effects | head -1`."""
+    command = [sys.executable, "-m", "slider_jax.cli.main", "effects"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
