@@ -1,6 +1,6 @@
 """Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
-    python benchmarks/loop.py null noise situation single double outside fresh blind --out DIR
+    python benchmarks/loop.py null noise situation single double outside fresh blind unseen --out DIR
     python benchmarks/loop.py table --out DIR
 
 The benchmark writes one file per tank to DIR. An interrupted run resumes when you repeat the
@@ -386,7 +386,7 @@ def main() -> None:
     part, parts = map(int, arguments.part.split("/"))
     prepare_jax()
     candidates = candidate_effects()
-    for name in ("unknown_effects", "fresh_effects", "blind_effects"):
+    for name in ("unknown_effects", "fresh_effects", "blind_effects", "unseen_effects"):
         load_effects(Path(__file__).parent / f"{name}.py")
     for what in arguments.what:
         if what == "table":

@@ -11,11 +11,17 @@ from blind_effects import BLIND_EFFECTS
 from fresh_effects import FRESH_EFFECTS
 from scipy.optimize import linear_sum_assignment
 from unknown_effects import UNKNOWN_EFFECTS
+from unseen_effects import UNSEEN_EFFECTS
 
 from calibration.discrepancy.verdict import INCONCLUSIVE, NOTHING, PARTLY, PROVISIONAL, UNEXPLAINED
 from slider_jax.effects.library import LIBRARY
 
-LACKING = {"outside": UNKNOWN_EFFECTS, "fresh": FRESH_EFFECTS, "blind": BLIND_EFFECTS}
+LACKING = {
+    "outside": UNKNOWN_EFFECTS,
+    "fresh": FRESH_EFFECTS,
+    "blind": BLIND_EFFECTS,
+    "unseen": UNSEEN_EFFECTS,
+}
 """Effects that the library lacks, by kind of case."""
 EXPLAINABLE = 1.1
 """A case has a residual to explain if the held-out rms divided by the noise floor is larger."""
