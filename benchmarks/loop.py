@@ -1,6 +1,7 @@
 """Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
-    python benchmarks/loop.py null noise situation single double outside fresh blind unseen --out DIR
+    python benchmarks/loop.py null noise situation single double --out DIR
+    python benchmarks/loop.py outside fresh blind unseen --out DIR
     python benchmarks/loop.py table --out DIR
 
 The benchmark writes one file per tank to DIR. An interrupted run resumes when you repeat the
