@@ -133,6 +133,10 @@ def discriminating_trial(
         )
     elif times > 1:
         text += f" {times} such trials would exclude one of the effects."
+    rest = [n for n, x in zip(alternatives, at_last, strict=True) if x.threshold_ratio <= 1.0]
+    if times is not None and rest:
+        subject = "This trial does" if times == 1 else "These trials do"
+        text += f" {subject} not discriminate between {name} and {', '.join(rest)}."
     rows = [
         {"first": name, "second": other}
         | {"sigmas_before": a.sigmas, "sigmas_after": b.sigmas}

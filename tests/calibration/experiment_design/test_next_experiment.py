@@ -120,6 +120,24 @@ def test_the_next_trial_makes_a_class_smaller(tank):
     assert f"{pair['sigmas_after']:.1f} standard deviations" in record["said"]
 
 
+def test_a_trial_that_leaves_a_part_of_a_class_names_this_part(tank):
+    theta = tank[2].copy()
+    theta[FLUID] = 0.12
+    found = class_outcome(tank, fitted(tank, theta, np.concatenate([FREE, FLUID])))
+    same = tank[2].copy()
+    same[MASS] = 0.1  # this alternative has the same readings as the chosen effect
+    alternatives = found.search.rounds[0].alternatives
+    alternatives["tip_mass"] = Alternative(
+        fitted(tank, same, np.concatenate([FREE, FLUID])), 0.0, {}, {}
+    )
+    found.search.rounds[0].equivalent.append("tip_mass")
+    limits = limits_of(tank[0], LIMITS | {"tow_speed": (0.0, 0.25)})
+    record = next_experiment(found, limits=limits, effort=FEW)
+    assert record["times"] == 1 and "between carried_mass and axial_added_mass" in record["said"]
+    rest = "This trial does not discriminate between carried_mass and tip_mass."
+    assert record["said"].endswith(rest)
+
+
 def test_a_class_that_no_trial_makes_smaller_is_reported(tank):
     theta = tank[2].copy()
     theta[MASS] = 0.1  # the alternative has the same readings
@@ -192,9 +210,12 @@ def test_the_report_lists_the_alternatives(tank):
     record = loop_record(done, 1.0, {"path": "tank.toml", "sha256": "0"}, {})
     (effect,) = record["effects"]
     assert effect["in_place_of"] == "tip_mass"
-    assert effect["rivals"] == [
-        {"name": "axial_added_mass", "loss": 88.0, "channels": {"tip": 0.01}, "told_apart": True}
-    ]
+    (rival,) = effect["rivals"]
+    assert rival["parameters"]["C_d"] == tank[2][0] and "carried_mass.dm" in rival["parameters"]
+    del rival["parameters"]
+    assert rival == {
+        "name": "axial_added_mass", "loss": 88.0, "channels": {"tip": 0.01}, "told_apart": True
+    }  # fmt: skip
     html = loop_page(done, record | {"candidates": []})
     assert "axial_added_mass for carried_mass" in html and "tip 1 %" in html
 
