@@ -212,8 +212,8 @@ def test_the_report_lists_the_alternatives(tank):
     assert effect["in_place_of"] == "tip_mass"
     (rival,) = effect["rivals"]
     assert rival["parameters"]["C_d"] == tank[2][0] and "carried_mass.dm" in rival["parameters"]
-    del rival["parameters"]
-    assert rival == {
+    rest = {key: x for key, x in rival.items() if key != "parameters"}
+    assert rest == {
         "name": "axial_added_mass", "loss": 88.0, "channels": {"tip": 0.01}, "told_apart": True
     }  # fmt: skip
     html = loop_page(done, record | {"candidates": []})
