@@ -95,8 +95,9 @@ def draw_growth(times: dict[str, dict[str, Any]], path: Path) -> None:
     figure, axes = new_figure(1, 2, figsize=(9.0, 3.6), sharex=True)
     quantities = {"cpu_s": "CPU time (s)", "peak_GB": "peak memory (GB)"}
     for ax, (key, label) in zip(axes, quantities.items(), strict=True):
-        for name, marker in zip(times, "osD^", strict=False):
-            ax.plot(sum(LONG[name]), times[name][key], marker, label=name)
+        for name, marker in zip(LONG, "osD^", strict=True):
+            if name in times:
+                ax.plot(sum(LONG[name]), times[name][key], marker, label=name)
         ax.set(xlabel="duration of all trials (s)", ylabel=label, xlim=(0, None), ylim=(0, None))
         ax.grid(alpha=0.3)
     axes[0].legend(fontsize=8)

@@ -105,7 +105,7 @@ def _candidates(given: Any, only: tuple[str, ...], without: tuple[str, ...]) -> 
     """Returns the names of the candidate effects for an experiment or for logs `given`."""
     known = _known(given)
     for option, chosen in (("--only", only), ("--without", without)):
-        listed = "the names that slider effects lists, and those of --effects FILE.py"
+        listed = f"the names of the {len(known)} candidates; slider effects lists all effects"
         refuse_unknown(option, chosen, known, listed)
     names = [n for n in known if (n in only or not only) and n not in without]
     if not names:

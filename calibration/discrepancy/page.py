@@ -68,7 +68,7 @@ def loop_page(
         effect_lines=[
             *effect_sentences(outcome),
             *veto_sentences(outcome),
-            *([choice_sentence(choice)] if choice else []),
+            *([choice_sentence(choice)] if choice and choice_sentence(choice) else []),
         ],
         residual_line=residual_sentence(outcome),
         effect_files=_sources({"logs": record["effect_files"]}),

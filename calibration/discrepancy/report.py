@@ -29,7 +29,7 @@ REPEATABLE_RATIO = 1.3
 discrepancy's lower limit. This is about twice the extrapolated discretisation error."""
 REPEATABLE_ERRORS = 2.0
 """The report states a repeatable error of the thrust if it exceeds the discrepancy's lower limit by
-more than this number of standard errors."""
+more than this number of standard errors. A declared discrepancy has no standard error."""
 
 
 def loop_record(
@@ -249,7 +249,7 @@ def effect_sentences(outcome: LoopOutcome) -> list[str]:
 
 
 def _titles(effects: Sequence[EffectStatus]) -> str:
-    return ", ".join(
+    return "; ".join(
         f"{LIBRARY[x.name].title} ({x.name})"
         + (f", or instead {' or '.join(x.equivalent)}" if x.equivalent else "")
         for x in effects

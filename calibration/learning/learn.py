@@ -34,6 +34,10 @@ from slider_jax.effects.library import DICTIONARY
 
 Progress = Callable[[str], None]
 
+NOT_CONFIRMED = "the other half of the trials does not confirm the selected terms"
+VETOED = "the selected terms increase the error in the held-out trials"
+CONTRADICTIONS = (NOT_CONFIRMED, VETOED)
+"""Reasons for which other trials contradict the terms of a place."""
 FREQUENCY_RANGE = 1.2
 """Largest factor between a learned sine's frequency and the frequency of the peak in the residual.
 The peak is accurate to a fraction of a Fourier interval, so the fit needs no wider range."""
@@ -196,8 +200,8 @@ class Learning:
     """Trials that estimate the coefficients."""
     places: list[PlaceGain] = field(default_factory=list)
     """Result at each place: the place of the learned function, then the others, best first."""
-    refused: list[str] = field(default_factory=list)
-    """Places whose terms a later test refused; the next place was tried then."""
+    refused: dict[str, str] = field(default_factory=dict)
+    """Places whose terms a later test refused, with the reason. The next place was tried then."""
     dropped: dict[str, Stability] = field(default_factory=dict)
     """Selected terms that the estimation trials do not confirm."""
     model: LearnedModel | None = None
@@ -211,11 +215,14 @@ class Learning:
 
     @property
     def equal_places(self) -> list[str]:
-        """Other places whose gain is nearly as large as the gain of the best place."""
+        """Other places whose gain is nearly as large as the gain of the function's place.
+
+        Places whose terms other trials contradict do not count.
+        """
         share = self.outcome.search.settings.equal_gain_share
         best, *rest = self.places
-        rest = [x for x in rest if x.place not in self.refused]
-        return [x.place for x in rest if x.gain > share * best.gain]
+        contradicted = [place for place, why in self.refused.items() if why in CONTRADICTIONS]
+        return [x.place for x in rest if x.place not in contradicted and x.gain > share * best.gain]
 
 
 def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) -> Learning | None:
@@ -271,18 +278,26 @@ def _learned(found: Learning, known: Dictionary, progress: Progress) -> Learning
     beside = f" beside {', '.join(known.effects)}" if known.effects else ""
     progress(f"scoring {len(DICTIONARY)} terms of the dictionary{beside}")
     found.places = known.search(found.selection, progress)
-    found.reason = "no term of the dictionary has a significant gain"
-    for place in [x for x in found.places if x.groups]:
-        _estimate(found, known, place, progress)
+    tried = [x for x in found.places if x.groups]
+    many = sum(len(x.groups) for x in tried)
+    for place in tried:
+        _estimate(found, known, place, many, progress)
         if found.model is not None:
             found.places = [place, *(x for x in found.places if x is not place)]
-            break
-        found.refused.append(place.place)
+            return found
+        found.refused[place.place] = found.reason
+    nothing = "no term of the dictionary has a significant gain"
+    found.reason = next(iter(found.refused.values()), nothing)
     return found
 
 
-def _estimate(found: Learning, known: Dictionary, best: PlaceGain, progress: Progress) -> None:
-    """Fits the terms of the place `best` to the other half, and sets `model` or `reason`."""
+def _estimate(
+    found: Learning, known: Dictionary, best: PlaceGain, many: int, progress: Progress
+) -> None:
+    """Fits the terms of the place `best` to the other half, and sets `model` or `reason`.
+
+    `many` is the number of selected terms of all places; the p-values are corrected for it.
+    """
     problem, groups = known.problem.part(found.estimation), scoring_entries(known.entries)
     terms, theta = best.groups, best.fit.theta
     while terms:
@@ -306,7 +321,7 @@ def _estimate(found: Learning, known: Dictionary, best: PlaceGain, progress: Pro
                 fit.blocks,
                 fit.theta[free],
                 np.flatnonzero(np.isin(free, groups[name])),
-                len(terms) * (1 + len(found.refused)),
+                many,
                 fit.inflation,
             )
             for name in terms
@@ -320,7 +335,7 @@ def _estimate(found: Learning, known: Dictionary, best: PlaceGain, progress: Pro
         found.dropped[worst] = confirmed[worst]
         terms, theta = [name for name in terms if name != worst], fit.theta.copy()
         theta[groups[worst]] = 0.0
-    found.reason = "the other half of the trials does not confirm the selected terms"
+    found.reason = NOT_CONFIRMED
 
 
 def _conclude(
@@ -349,7 +364,7 @@ def _conclude(
     of_loop = outcome.problem.part(tested).predict(outcome.chosen.theta)
     growth = growth_of_error(rest, of_loop, after)
     if growth.vetoes(outcome.search.settings):
-        found.reason = "the selected terms increase the error in the held-out trials"
+        found.reason = VETOED
         return
     errors = channel_errors(rest, before, after)
     fit, found.reason = widen_by_correlation(problem, fit), ""

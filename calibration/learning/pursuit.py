@@ -26,8 +26,8 @@ MAX_GROUPS = 3
 MIN_HALF = 3
 """Smallest number of trials in each half, because cross-validation needs three trials."""
 CONFIRMATION_P = 0.01
-"""The estimation half confirms a group if the p-value of its gain, corrected for the number of
-tested groups, is below this value."""
+"""The estimation half confirms a group if the p-value of its gain, corrected for the selected
+groups of all places, is below this value."""
 SHORT_LIST = 4
 """Largest number of groups that a step of the pursuit refits."""
 START_SHARES = (1.0, 0.3)
@@ -60,7 +60,7 @@ class Stability(NamedTuple):
     """Whether a group is confirmed by the trials that did not select the group."""
 
     p: float
-    """p-value of the group's gain, corrected for the number of tested groups."""
+    """p-value of the group's gain, corrected for the selected groups of all places."""
     change: float
     """Largest relative change of the group's function when one trial is left out."""
 
@@ -160,9 +160,9 @@ def stability(
 
     `blocks` are the normal equations of the fitted parameters at the end of the fit. `values` are
     the fitted values minus the nulls. `group` are the indices of the group in `values`. `many` is
-    the number of tested groups, and `unit` is the residual's mean square. The change of the
-    group's function is measured in the readings of the remaining trials. Only the part of the
-    change that the other parameters cannot absorb counts.
+    the number of selected groups of all places, and `unit` is the residual's mean square. The
+    change of the group's function is measured in the readings of the remaining trials. Only the
+    part of the change that the other parameters cannot absorb counts.
     """
     A, b = summed(blocks)
     remaining = inverse(A) @ b

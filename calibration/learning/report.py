@@ -49,6 +49,7 @@ def learned_record(
             {"place": x.place, "terms": x.groups, "gain": x.gain, "surplus": x.surplus}
             for x in learning.places
         ],
+        "refused": learning.refused,
         "dropped": {name: x._asdict() for name, x in learning.dropped.items()},
     }
     if learned is None:
@@ -133,7 +134,7 @@ def learned_text(learning: Learning) -> str:
         text += f" Terms of {', '.join(learning.equal_places)} explain the residual equally well."
     above = learned.above_floor
     if above:
-        return text + f" The residual of {', '.join(above)} remains above the noise floor."
+        return text + f" The residual of {', '.join(above)} is not only noise."
     return text + " With this function, the residual is at the noise floor."
 
 

@@ -27,6 +27,7 @@ from slider_jax.channels import CHANNELS, row_of
 from slider_jax.dynamics.model import Drive
 from slider_jax.effects import Command, Flow, Instrument
 from slider_jax.effects.library import LIBRARY
+from slider_jax.effects.pneumatics.drive_clock import DriveClock
 from slider_jax.experiment.load import Experiment, assemble, trial_conditions
 from slider_jax.experiment.prepare import prepare
 from slider_jax.experiment.schema import SensorsTable
@@ -45,13 +46,17 @@ SENSORS = SensorsTable(pressure_gain=0.0)
 
 
 def log_candidates() -> list[str]:
-    """Returns the names of the effects that change the measured pressure of the front chamber."""
+    """Returns the names of the effects that change the measured pressure of the front chamber.
+
+    `drive_clock` is not among them: the same clock records the command and the pressure.
+    """
     return [
         name
         for name in candidate_effects()
         if issubclass(LIBRARY[name], (Command, Flow, Instrument))
         and "pressure" in LIBRARY[name].sensors
         and not LIBRARY[name].rear_only
+        and LIBRARY[name] is not DriveClock
     ]
 
 

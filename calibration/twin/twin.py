@@ -37,9 +37,11 @@ from calibration.twin.stream import GapFiller, Samples, UniformBlock
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
 from slider_jax.channels import BUILT_IN
+from slider_jax.effects import Command, of_place
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import FEWEST_NODES, Trial
+from slider_jax.realtime.causality import check_commands
 
 WARM_UP = 2.0
 """Time [s] until the initial shape has no influence, and k and K_Q are nearly correct."""
@@ -127,6 +129,7 @@ class Twin:
             Numerics(*cells, tolerance=settings.tolerance),
         )  # fmt: skip
         self._model, self._values = live_model(experiment, trial), parameter_values(experiment)
+        check_commands(of_place(self._model.effects, Command), self.layout.period, HISTORY)
         self._rest = initial_block_state(self._model, self.layout, self._values)
         strides = 4.0 / trial.frequency if trial.frequency else 0.0
         count = max(settings.learn, strides) / settings.window
@@ -141,7 +144,8 @@ class Twin:
     ) -> "Twin":
         """Returns a compiled twin with the C_d, m_a and tow speed of `trial` (index or trial).
 
-        The call takes some seconds. Raises `InputError` for invalid settings.
+        The call takes some seconds. Raises `InputError` for invalid settings, and for effects of
+        the valves that depend on future set pressures or on old ones.
         """
         if settings.samples < 2 or settings.per_step < 1 or settings.samples % settings.per_step:
             raise InputError.value(

@@ -157,7 +157,9 @@ class Delayed(Waveform):
         smooth = early.t_break >= early.t1
         before = t1 <= self.delay
         # With zero delay, the wave starts at t0. This start is a break, as it moves with `delay`.
-        starts = ((t0 < self.delay) | ((t0 == self.delay) & smooth)) & (t1 > self.delay)
+        # An edge of the wave at its start is a part of the same break.
+        at_start = (t0 == self.delay) & (smooth | (early.t_break <= early.t0))
+        starts = ((t0 < self.delay) | at_start) & (t1 > self.delay)
 
         def choose(inside, beginning):
             return jnp.where(before, 0.0, jnp.where(starts, beginning, inside))
@@ -178,7 +180,10 @@ class Delayed(Waveform):
 
 
 class Stretched(Waveform):
-    """`wave` at the times (1 - `slow`) t, as a clock generates it that is slow by this fraction."""
+    """`wave` at the times (1 - `slow`) t, as a clock generates it that is slow by this fraction.
+
+    The limits of exact segments hold for the steps of the slow or fast clock.
+    """
 
     wave: Waveform
     slow: Scalar
@@ -186,7 +191,9 @@ class Stretched(Waveform):
     def segment(self, t0, t1):
         rate = 1.0 - self.slow
         x = self.wave.segment(rate * t0, rate * t1)
-        t_break = t0 + (x.t_break - x.t0) / rate
+        # Rounding must not move the break of a segment without an edge to before its end.
+        inside = jnp.minimum(t0 + (x.t_break - x.t0) / rate, t1)
+        t_break = jnp.where(x.t_break >= x.t1, t1, inside)
         return Segment(t0, t_break, t1, x.a0, x.a1, x.b0, x.b1)
 
 

@@ -76,9 +76,21 @@ def run_command(arguments: Sequence[str]) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs `slider` and returns its exit code.
 
-    The code is 0 after success, 2 for invalid input or a failed solution, 130 if interrupted.
+    The code is 0 after success, 2 for invalid input or a failed solution, 130 if interrupted. If
+    the reader of the output ends early, as in `slider effects | head`, the code is 141, as for a
+    program that the signal SIGPIPE ends.
     """
-    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        code = _run(sys.argv[1:] if arguments is None else arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    return code
+
+
+def _run(arguments: Sequence[str]) -> int:
+    """Runs `slider` and returns its exit code, or raises `BrokenPipeError`."""
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(usage())
         return 0
@@ -93,12 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"slider {__version__}")
         return 0
     try:
-        code = run_command(arguments)
-        sys.stdout.flush()
-        return code
-    except BrokenPipeError:  # the reader of the output has ended, as in `slider effects | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        return 0
+        return run_command(arguments)
     except (InputError, SolverError, KeyboardInterrupt, rig_error()) as error:
         stopped = isinstance(error, KeyboardInterrupt)
         text = "interrupted" if stopped else f"error: {error}"

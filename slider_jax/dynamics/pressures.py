@@ -136,25 +136,34 @@ def _rate(k, flows, side):
 
 
 def _through_zero(k, flows, y, a0, a1, span):
-    """Returns y after a Runge-Kutta step that is split at zero pressure."""
+    """Returns y after a Runge-Kutta step that is split at zero pressure.
+
+    If only one chamber crosses zero, the step of the other chamber is split at the same time,
+    because the flow into a chamber may depend on both pressures.
+    """
     p = y[0]
     rate = _rate(k, flows, jnp.where(p == 0.0, jnp.sign(a0 + a1), jnp.sign(p)))
     whole = _runge_kutta(rate, y, a0, a1, span)
     crosses = p * whole[0] < 0.0
-    share = jnp.where(crosses, p / jnp.where(crosses, p - whole[0], 1.0), 1.0)
+    split = crosses | crosses[::-1]
+
+    def together(share):
+        return jnp.where(crosses, share, share[::-1])
+
+    share = together(jnp.where(crosses, p / jnp.where(crosses, p - whole[0], 1.0), 1.0))
     at_zero = a0 + share * (a1 - a0)
     near = _runge_kutta(rate, y, a0, at_zero, share * span)
     slopes = span * rate(near, at_zero)
     moves = crosses & (slopes[0] != 0.0)
     first = share
     share = share - jnp.where(moves, near[0] / jnp.where(moves, slopes[0], 1.0), 0.0)
-    share = jnp.clip(share, 0.0, 1.0)
+    share = together(jnp.clip(share, 0.0, 1.0))
     at_zero = a0 + share * (a1 - a0)
     beyond = _rate(k, flows, jnp.sign(whole[0]))
-    states = near[1:] + (share - first) * slopes[1:]
-    empty = jnp.concatenate([jnp.zeros_like(near[:1]), states])
-    rest = _runge_kutta(beyond, empty, at_zero, a1, (1.0 - share) * span)
-    return jnp.where(crosses, rest, whole)
+    middle = near + (share - first) * slopes
+    middle = middle.at[0].set(jnp.where(crosses, 0.0, middle[0]))
+    rest = _runge_kutta(beyond, middle, at_zero, a1, (1.0 - share) * span)
+    return jnp.where(split, rest, whole)
 
 
 def _runge_kutta(rate, y, a0, a1, span):

@@ -11,15 +11,20 @@ from slider_jax.effects import Command, Instrument, Readings
 from slider_jax.errors import InputError
 from slider_jax.realtime.sensors import constant_past, read_now
 
+LATE = 3600.0
+"""Time [s] after the start at which the commands are checked. A delay may grow with time."""
+
 
 def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> None:
     """Raises `InputError` if the valves depend on more than the last `samples` set pressures.
 
-    The check applies the effects to a series of random set pressures, `h` [s] apart. The waveform
-    from the last `samples` set pressures must equal the waveform from the whole series.
+    The check applies the effects to a series of random set pressures, `h` [s] apart, that begins
+    an hour after the start of the run. The waveform from the last `samples` set pressures must
+    equal the waveform from the whole series. A clock that is slow is late by more than these
+    samples then.
     """
     length = 2 * samples + 10
-    times = jnp.asarray(h * np.arange(float(length)))
+    times = jnp.asarray(LATE + h * np.arange(float(length)))
     values = jnp.asarray(np.random.default_rng(0).uniform(-1e5, 1e5, length))
 
     def segments(commands: tuple[Command, ...], chamber: int, wave: Waveform, t: Array):

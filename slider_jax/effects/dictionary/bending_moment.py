@@ -339,12 +339,16 @@ class StiffnessOfRecentBending(CurvatureTerm):
         0.3 s d(r^2)/dt = kappa^2 - r^2
 
     f is a sum of r^2, r^4 and r^6. The stiffness changes while the robot bends, and recovers while
-    the robot is at rest.
+    the robot is at rest. The curve and the scale of a learned function use |kappa| instead of r. r
+    is never larger than the largest |kappa|.
     """
 
     title = "stiffness of the body that depends on the recent bending"
     segments = ("body",)
     term_curve = Curve("recent rms of the curvature", "1/m", "change of the stiffness/EI", "-")
+
+    def state(self, x):
+        return jnp.abs(x.kappa)
 
     def basis(self, z):
         return self.powers_of(jnp.square(z))

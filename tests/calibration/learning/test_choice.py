@@ -85,7 +85,7 @@ def test_no_attempt_is_repeated(monkeypatch):
     ("confirmed", "order", "refused", "equal"),
     [
         ("Flow", ["Flow", "Command", "Instrument (tip)"], [], ["Command"]),
-        ("Command", ["Command", "Flow", "Instrument (tip)"], ["Flow"], []),
+        ("Command", ["Command", "Flow", "Instrument (tip)"], ["Flow"], ["Flow"]),
         ("", ["Flow", "Command", "Instrument (tip)"], ["Flow", "Command"], None),
     ],
 )
@@ -94,11 +94,12 @@ def test_the_next_place_is_tried_if_the_other_trials_refuse_the_best(
 ):
     places = [
         PlaceGain("Flow", ["flow_of_filling"], 100.0, 80.0, None),
-        PlaceGain("Command", ["a_command"], 99.0, 79.0, None),
+        PlaceGain("Command", ["a_command", "b_command"], 99.0, 79.0, None),
         PlaceGain("Instrument (tip)", [], 0.0, 0.0, None),
     ]
 
-    def estimate(found, known, place, progress):
+    def estimate(found, known, place, many, progress):
+        assert many == 3
         found.reason = f"{place.place} is refused"
         if place.place == confirmed:
             found.model, found.reason = SimpleNamespace(above_floor=[]), ""
@@ -108,11 +109,13 @@ def test_the_next_place_is_tried_if_the_other_trials_refuse_the_best(
     outcome = SimpleNamespace(search=SimpleNamespace(settings=settings))
     known = SimpleNamespace(effects=[], search=lambda chosen, progress: list(places))
     found = learn._learned(Learning(outcome), known, print)
-    assert [x.place for x in found.places] == order and found.refused == refused
-    assert found.reason == ("" if confirmed else "Command is refused")
+    assert [x.place for x in found.places] == order and list(found.refused) == refused
+    assert found.reason == ("" if confirmed else "Flow is refused")
     assert found.reaches_floor == bool(confirmed)
     if equal is not None:
         assert found.equal_places == equal
+        found.refused = dict.fromkeys(refused, learn.NOT_CONFIRMED)
+        assert found.equal_places == [x for x in equal if x not in refused]
 
 
 def test_without_a_significant_term_nothing_is_estimated(monkeypatch):

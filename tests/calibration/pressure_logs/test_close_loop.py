@@ -9,7 +9,7 @@ from calibration.discrepancy.report import loop_model_toml, loop_record
 from calibration.inference.cache import Memo, resumable
 from calibration.model.extended import base_values, base_vector, model_parameters
 from calibration.pressure_logs.close_loop import close_loop_on_logs
-from calibration.pressure_logs.problem import PressureLogProblem, log_experiment
+from calibration.pressure_logs.problem import PressureLogProblem, log_candidates, log_experiment
 from calibration.pressure_logs.read import read_log
 from calibration.pressure_logs.synthetic import Valves, write_logs
 from slider_jax.channels import row_of
@@ -156,3 +156,7 @@ def test_a_run_that_fails_before_the_first_simulation_leaves_no_folder(tmp_path)
     with pytest.raises(InputError), resumable(tmp_path / "out", {}):
         raise InputError("the arguments are wrong")
     assert not (tmp_path / "out").exists()
+
+
+def test_the_clock_of_the_drive_is_no_candidate_because_the_logs_have_one_clock():
+    assert "valve_delay" in log_candidates() and "drive_clock" not in log_candidates()

@@ -263,6 +263,16 @@ def test_readings_of_another_shape_are_rejected():
         list(GapFiller(0.002, 5).add(Samples(np.zeros(3), np.zeros((2, 3)), np.zeros((4, 3)))))
 
 
+@pytest.mark.parametrize(
+    ("name", "key", "value"), [("drive_clock", "slow", 0.01), ("valve_delay", "delay", 0.5)]
+)
+def test_effects_that_need_old_set_pressures_are_rejected(tmp_path, name, key, value):
+    effect = f'[[effects]]\nname = "{name}"\n{key} = {value}\n\n[sensors]\n'
+    late = load(write_small_experiment(tmp_path, ("[sensors]\n", effect)))
+    with pytest.raises(InputError, match=f"effects: {name}: in real time only"):
+        Twin.of(late)
+
+
 def test_invalid_settings_are_rejected(experiment):
     with pytest.raises(InputError, match="samples and per_step"):
         Twin.of(experiment, settings=TwinSettings(samples=9, per_step=2))

@@ -89,10 +89,11 @@ def test_negative_numbers_are_read_as_values(capsys):
     assert "x.toml: no such file" in capsys.readouterr().err
 
 
-def test_a_reader_that_ends_early_causes_no_error():
+@pytest.mark.parametrize("word", ["effects", "--help"])
+def test_a_reader_that_ends_early_causes_no_traceback(word):
     """As in `slider effects | head -1`."""
-    command = [sys.executable, "-m", "slider_jax.cli.main", "effects"]
+    command = [sys.executable, "-m", "slider_jax.cli.main", word]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         assert process.stderr.read() == b""
-    assert process.returncode == 0
+    assert process.returncode == 141

@@ -8,6 +8,7 @@ import pytest
 from slider_jax.actuation import Ideal, Recorded, SquareWave
 from slider_jax.beam.parameters import Robot
 from slider_jax.dynamics.model import make_mesh
+from slider_jax.effects.library import DICTIONARY
 from slider_jax.effects.pneumatics.actuator_creep import ActuatorCreep
 from slider_jax.effects.pneumatics.actuator_hysteresis import ActuatorHysteresis
 from slider_jax.effects.pneumatics.actuator_quadratic import ActuatorQuadratic
@@ -51,6 +52,10 @@ FLOWS = [
     OrificeFlow(0.8),
     ChamberExpansion(4e-6),
     SideLag(0.4),
+]
+COUPLED = [
+    DICTIONARY["flow_between_chambers"](a=-0.1, b=-0.2),
+    DICTIONARY["filling_opening_of_other"](a=-0.2, b=-0.1),
 ]
 
 
@@ -100,6 +105,18 @@ def test_the_tangent_of_a_slow_clock_is_the_difference_of_pressures():
     np.testing.assert_allclose(jax.jacfwd(last)(jnp.asarray(0.0)), difference, rtol=1e-5)
 
 
+def test_a_wrong_clock_does_not_hide_the_start_of_a_delayed_wave():
+    """The derivative by a delay of zero includes the start of the wave."""
+    t = jnp.asarray(np.append(np.arange(0.0, 0.1, 0.0037), 0.1))
+
+    def last(delay):
+        wave = DriveClock(0.013).command(SquareWave(F, A), 1)
+        return pressure_history(LAG, RearValveDelay(delay).command(wave, 1), 0.0, t)[-1]
+
+    exact = -A * np.exp(-0.1 / K) / K  # dp/d(delay) of the step response A (1 - exp(-t/k))
+    np.testing.assert_allclose(jax.jacfwd(last)(jnp.asarray(0.0)), exact, rtol=1e-6)
+
+
 @pytest.mark.parametrize("effect", FLOWS, ids=lambda e: e.name())
 def test_flow_converges_for_steps_that_the_loop_takes(effect):
     """The loop takes 114 steps a stride, 4 ms; the reference steps are a sixteenth of that.
@@ -112,6 +129,20 @@ def test_flow_converges_for_steps_that_the_loop_takes(effect):
     print(f"{effect.name()}: off {off:.1e}, changed {changed:.1e}")
     assert changed > 0.02
     assert off < (1e-4 if isinstance(effect, OrificeFlow) else 2e-5)
+
+
+@pytest.mark.parametrize("effect", COUPLED, ids=lambda e: e.name())
+def test_a_flow_that_depends_on_both_chambers_has_an_error_of_half_a_percent(effect):
+    """A step is split at the edge of each chamber's own set pressure.
+
+    Each stage of a split step therefore belongs to two different times. The error is of first order
+    in the step.
+    """
+    fine = square([effect], strides(16 * 114)).p
+    coarse = [square([effect], strides(n)).p for n in (114, 228)]
+    errors = [np.max(np.abs(coarse[0] - fine[::16])), np.max(np.abs(coarse[1] - fine[::8]))]
+    assert 0.1 * A < np.max(np.abs(coarse[0] - square([], strides(114)).p))
+    assert errors[0] < 5e-3 * A and errors[1] < 0.7 * errors[0]
 
 
 def test_smooth_flow_is_fourth_order_in_the_step():

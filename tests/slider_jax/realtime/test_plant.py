@@ -253,10 +253,13 @@ def test_after_a_failed_step_the_last_reading_is_held_until_begin(plant):
         ("camera_delay", 0.5 * H),  # the cubic interpolation needs the next sample
         ("valve_delay", -0.01),
         ("rear_valve_delay", 0.3),
+        ("drive_clock", 0.001),  # after an hour, the valves are late by 3.6 s
+        ("drive_clock", -0.001),
     ],
 )
 def test_an_effect_that_needs_future_values_is_rejected_with_its_name(name, value, tmp_path):
-    experiment = load(write_small_experiment(tmp_path, tables({name: {"delay": value}})))
+    key = "slow" if name == "drive_clock" else "delay"
+    experiment = load(write_small_experiment(tmp_path, tables({name: {key: value}})))
     with pytest.raises(InputError, match=f"^effects: {name}: in real time .*; allowed"):
         Plant(experiment, step=H)
 
