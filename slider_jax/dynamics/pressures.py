@@ -138,14 +138,14 @@ def _rate(k, flows, side):
 def _through_zero(k, flows, y, a0, a1, span):
     """Returns y after a Runge-Kutta step that is split at zero pressure.
 
-    If only one chamber crosses zero, the step of the other chamber is split at the same time,
-    because the flow into a chamber may depend on both pressures.
+    The flow into a chamber may depend on both pressures. If only one chamber crosses zero, its
+    split step therefore uses the pressure of the other chamber at the same time. The step of the
+    other chamber is not split.
     """
     p = y[0]
     rate = _rate(k, flows, jnp.where(p == 0.0, jnp.sign(a0 + a1), jnp.sign(p)))
     whole = _runge_kutta(rate, y, a0, a1, span)
     crosses = p * whole[0] < 0.0
-    split = crosses | crosses[::-1]
 
     def together(share):
         return jnp.where(crosses, share, share[::-1])
@@ -163,7 +163,7 @@ def _through_zero(k, flows, y, a0, a1, span):
     middle = near + (share - first) * slopes
     middle = middle.at[0].set(jnp.where(crosses, 0.0, middle[0]))
     rest = _runge_kutta(beyond, middle, at_zero, a1, (1.0 - share) * span)
-    return jnp.where(split, rest, whole)
+    return jnp.where(crosses, rest, whole)
 
 
 def _runge_kutta(rate, y, a0, a1, span):
