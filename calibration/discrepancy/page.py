@@ -42,6 +42,7 @@ def loop_page(
     """
     known, settings = dict(record["parameters"]), outcome.search.settings
     choice = record.get("candidate_choice")
+    restricted = choice_sentence(choice) if choice else ""
     for effect in record["effects"]:
         known |= {f"{effect['name']}.{n}": x for n, x in effect["parameters"].items()}
     head, before = ["parameter", "value", "95 % interval", "unit", "started from"], ["given"]
@@ -68,7 +69,7 @@ def loop_page(
         effect_lines=[
             *effect_sentences(outcome),
             *veto_sentences(outcome),
-            *([choice_sentence(choice)] if choice and choice_sentence(choice) else []),
+            *([restricted] if restricted else []),
         ],
         residual_line=residual_sentence(outcome),
         effect_files=_sources({"logs": record["effect_files"]}),

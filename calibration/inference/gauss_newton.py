@@ -229,7 +229,7 @@ def fit_gauss_newton(
                 continue
             error = np.sqrt(unit * np.diag(inverse(A)))
             converged = bool(np.all(np.abs(step) < error))
-            near_end = origin if exact and recent else None
+            near_end = origin if exact else None
             break
         gained = square - total(found)
         stalled = stalled + 1 if gained < enough else 0

@@ -33,9 +33,9 @@ class FlowTerm(Powers, Flow):
     def basis(self, z: Array) -> Basis:
         """Returns the basis functions at the state z."""
 
-    @abstractmethod
     def factor(self, x: Chamber) -> Array:
-        """Returns the sign with which f changes dp/dt."""
+        """Returns the sign with which f changes dp/dt, 1 by default."""
+        return jnp.ones_like(x.p)
 
     def rate(self, rate, x):
         return rate + self.factor(x) * self.total(self.basis(self.state(x)))
@@ -52,9 +52,6 @@ class PressureTerm(FlowTerm):
 
     def state(self, x):
         return x.p
-
-    def factor(self, x):
-        return jnp.ones_like(x.p)
 
 
 class FlowOfPressure(PressureTerm):
@@ -98,9 +95,6 @@ class FlowOfDifference(DifferenceTerm):
         _, quadratic, cubic = odd_powers(e, RATE)
         return RATE * signed_root(e, CORNER), quadratic, cubic
 
-    def factor(self, x):
-        return jnp.ones_like(x.p)
-
 
 class FlowBetweenChambers(FlowTerm):
     """dp/dt changes by an odd function f of the difference d between the two chambers' pressures.
@@ -123,9 +117,6 @@ class FlowBetweenChambers(FlowTerm):
         q = jnp.clip(z / self.scale, -1.0, 1.0)
         linear, quadratic, _ = odd_powers(q, RATE)
         return RATE * signed_root(q, CORNER), linear, quadratic
-
-    def factor(self, x):
-        return jnp.ones_like(x.p)
 
 
 class FlowOfFilling(DifferenceTerm):
