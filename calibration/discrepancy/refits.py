@@ -44,14 +44,16 @@ def effect_tangents(
     scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
     finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
     tangential = [i for i in scored if i not in finite]
-    found = [np.zeros((len(theta), *r.values.shape), np.float32) for r in problem.records]
-    unit = np.eye(len(theta))
+    found, unit = list[np.ndarray](), np.eye(len(theta))
     channels = [row_of(c) for c in problem.channels]
     along = list(problem.tangents(theta, unit[tangential]))
-    failed = ~np.all([np.isfinite(x[:, channels]).all(axis=(1, 2)) for x in along], axis=0)
-    for x in found:
+    finite_rows = [np.isfinite(x[:, c]).all(axis=1) for x in along for c in channels]
+    failed = ~np.all(finite_rows, axis=0)
+    for r in problem.records:
+        x = np.zeros((len(theta), *r.values.shape), np.float32)
         x[tangential] = along.pop(0)  # frees the memory of a trial before the next one
         x[np.array(tangential)[failed]] = 0.0
+        found.append(x)
     size = {i: entries[i].prior.start - entries[i].prior.null for i in finite}
     for _ in range(settings.max_halvings):
         if not size:
@@ -151,7 +153,7 @@ class Estimate:
     ):
         self.refits, self.current, self.start, self.judge = refits, current, start, judge
         self.proposed = start.theta
-        self.J = start.J or {key: x[start.free] for key, x in tangents.items()}
+        self.tangents, self.J = tangents, start.J
         self.bounds = Bounds.of([refits.entries[i] for i in start.free])
         self.best = Fit(start.theta, np.asarray(start.free), FAILED, 0, [], [], False)
         self.residuals: dict[tuple[int, str], np.ndarray] = {}
@@ -175,8 +177,8 @@ class Estimate:
         if best.square < FAILED:
             change = {key: r - residuals[key] for key, r in self.residuals.items()}
             step = (self.proposed - best.theta)[best.free]
-            self.J = broyden_update(self.J, change, step, summed(best.blocks)[0])
-        self.residuals, blocks = residuals, normal_equations(residuals, self.J)
+            self.J = broyden_update(self._derivatives(), change, step, summed(best.blocks)[0])
+        self.residuals, blocks = residuals, normal_equations(residuals, self._derivatives())
         A, b = summed(blocks)
         theta, free = self.proposed, best.free
         self.step = linear_optimum(A, b, theta[free], self.bounds) - theta[free]
@@ -191,6 +193,10 @@ class Estimate:
         self.best = Fit(theta, free, square, samples, blocks, predicted, self.done)
         self.share, self.steps, self.halved = 1.0, self.steps + 1, 0
         self._propose()
+
+    def _derivatives(self) -> Tangents:
+        """Returns the present derivatives. Before the first correction, they are not stored."""
+        return self.J or {key: x[self.start.free] for key, x in self.tangents.items()}
 
     def _propose(self) -> None:
         self.proposed = self.best.theta.copy()
@@ -410,6 +416,9 @@ class Refits:
                 elif x is same[0]:
                     continue
                 x.done |= x.steps > 1 and current.square - x.expected < least
+            for x in active:
+                if x.done:  # frees the memory for the other fits
+                    x.J, x.residuals = {}, {}
         return [x.best for x in fits]
 
     def without(self, current: Fit, name: str) -> Fit | None:

@@ -296,11 +296,15 @@ def broyden_update(
 ) -> dict[tuple[int, str], np.ndarray]:
     """Returns the derivatives J (k, n), corrected so that they predict `change` (n,) for `step`.
 
-    The parameters are scaled by the diagonal of the normal matrix `A`.
+    The parameters are scaled by the diagonal of the normal matrix `A`. The result has the precision
+    of `J`.
     """
     scale = np.maximum(np.diag(A), 1e-300)
     weight = scale * step / (step @ (scale * step))
-    return {key: x + np.outer(weight, change[key] - step @ x) for key, x in J.items()}
+    return {
+        key: (x + np.outer(weight, change[key] - step @ x)).astype(x.dtype, copy=False)
+        for key, x in J.items()
+    }
 
 
 @jax.jit

@@ -27,7 +27,7 @@ from calibration.inference.noise import (
     discrepancy_scale,
 )
 from calibration.measurements.records import Record
-from calibration.model.compiled import on_all_cores
+from calibration.model.compiled import on_all_cores, slices
 from calibration.model.extended import (
     acting_entries,
     base_values,
@@ -82,8 +82,11 @@ def normal_equations(
     """
 
     def block(key: tuple[int, str], r: np.ndarray) -> ChannelBlock:
-        x = J[key].astype(float)
-        return ChannelBlock(*key, x @ x.T, x @ r, float(r @ r), len(r))
+        A, b = 0.0, 0.0
+        for here in slices(len(r), len(J[key])):
+            x = J[key][:, here].astype(float)
+            A, b = A + x @ x.T, b + x @ r[here]
+        return ChannelBlock(*key, np.asarray(A), np.asarray(b), float(r @ r), len(r))
 
     return [block(key, r) for key, r in residuals.items()]
 
@@ -222,8 +225,11 @@ class AbstractProblem(ABC):
         def one(key):
             i, channel = key
             series, there = changes[i][:, row_of(channel)], self.records[i].there(channel)
-            found = white[key](series if there.all() else series[:, there])
-            return key, found.astype(series.dtype, copy=False)
+            series = series if there.all() else series[:, there]
+            found = np.empty_like(series)
+            for rows in slices(*series.shape):
+                found[rows] = white[key](series[rows])
+            return key, found
 
         return dict(on_all_cores(one, list(white)))
 
@@ -375,7 +381,7 @@ class TankProblem(AbstractProblem):
             other = np.setdiff1d(acting_entries(entries, theta), needed)
             single = len(rows) == len(directions) and np.all(directions[rows, units] == 1.0)
             if single and not np.isin(units, other).any():
-                return [x[units] for x in self._unit_tangents(theta, needed)]
+                return self._unit_tangents(theta, needed, units)
             return on_all_cores(lambda p: reading_tangents(p, theta, directions), self.coarse_plans)
 
         def one(job):
@@ -389,25 +395,32 @@ class TankProblem(AbstractProblem):
         along = [directions @ m.matrix.T for m in self.maps]
         return on_all_cores(one, list(zip(self.coarse_plans, self._own(theta), along, strict=True)))
 
-    def _unit_tangents(self, theta: np.ndarray, needed: np.ndarray) -> list[np.ndarray]:
-        """Returns the derivatives by the entries `needed` (indices); the last result is kept.
+    def _unit_tangents(
+        self, theta: np.ndarray, needed: np.ndarray, wanted: np.ndarray
+    ) -> list[np.ndarray]:
+        """Returns the derivatives by the entries `wanted` (indices), with single precision.
 
-        A fit and the scoring after the fit need different entries at the same `theta`, and both use
-        the kept result. The rows of all other entries are zero. The derivatives are stored with
-        single precision.
+        A fit and the scoring after the fit need different entries at the same `theta`. The
+        derivatives by all entries `needed` are therefore computed. They are kept until all of them
+        are wanted. The derivatives by all other entries are zero.
         """
         key = theta.tobytes()
         if key not in self._last:
             self._last.clear()
             unit = np.eye(len(theta))[needed]
+            self._last[key] = on_all_cores(
+                lambda p: reading_tangents(p, theta, unit, np.float32), self.coarse_plans
+            )
+        if np.array_equal(wanted, needed):
+            return self._last.pop(key)
 
-            def one(p: TrialPlan) -> np.ndarray:
-                along = np.zeros((len(theta), len(CHANNELS), len(p.at)), np.float32)
-                along[needed] = reading_tangents(p, theta, unit)
-                return along
+        def rows(x: np.ndarray) -> np.ndarray:
+            found = np.zeros((len(wanted), *x.shape[1:]), np.float32)
+            there = np.isin(wanted, needed)
+            found[there] = x[np.searchsorted(needed, wanted[there])]
+            return found
 
-            self._last[key] = on_all_cores(one, self.coarse_plans)
-        return self._last[key]
+        return [rows(x) for x in self._last[key]]
 
     def _own(self, theta: np.ndarray) -> list[np.ndarray]:
         """Returns the parameters of each trial for the fitted vector `theta`."""

@@ -22,6 +22,8 @@ DIRECTIONS = 8
 """A call of a compiled program computes a multiple of this number of tangents."""
 MOST_DIRECTIONS = 64
 """Largest number of tangents that one call computes. 64 tangents take twice the time of eight."""
+MOST_VALUES = 2**24
+"""Largest number of values that one operation on several series copies (128 MiB)."""
 
 
 def limit_memory_maps() -> None:
@@ -114,18 +116,35 @@ def rows_per_call(k: int) -> int:
     return DIRECTIONS * -(-k // (DIRECTIONS * calls))
 
 
-def by_directions(function, directions: np.ndarray, rows: int | None = None) -> np.ndarray:
+def slices(count: int, values: int, multiple: int = 1) -> list[slice]:
+    """Returns slices of `count` rows, so that a slice has at most `MOST_VALUES` values.
+
+    Each row has the number `values` of values. A slice has at least `multiple` rows, and except for
+    the last slice, its number of rows is a multiple of `multiple`.
+    """
+    rows = multiple * max(1, MOST_VALUES // (multiple * max(values, 1)))
+    return [slice(first, min(first + rows, count)) for first in range(0, count, rows)]
+
+
+def by_directions(
+    function, directions: np.ndarray, rows: int | None = None, dtype: type = float
+) -> np.ndarray:
     """Returns `function(directions)` for `directions` (k, n), in calls of equal numbers of rows.
 
     Each call has the number `rows` of directions (default: `rows_per_call`, a multiple of
-    `DIRECTIONS`, so that few programs are compiled). The last row is repeated to fill a call.
+    `DIRECTIONS`, so that few programs are compiled). The last row is repeated to fill a call. The
+    result has the type `dtype`.
     """
     rows = rows_per_call(len(directions)) if rows is None else rows
     missing = -len(directions) % rows
     padded = np.pad(directions, ((0, missing), (0, 0)), mode="edge")
-    blocks = padded.reshape(-1, rows, directions.shape[1])
-    found = np.concatenate([np.asarray(function(block)) for block in blocks])
-    return found[: len(directions)]
+    found: np.ndarray = np.zeros(0, dtype)
+    for first in range(0, len(padded), rows):
+        block = np.asarray(function(padded[first : first + rows]))
+        if not first:
+            found = np.zeros((len(directions), *block.shape[1:]), dtype)
+        found[first : first + rows] = block[: len(directions) - first]
+    return found
 
 
 def stacked(trees: Sequence[Any]) -> Any:

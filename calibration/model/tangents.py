@@ -11,6 +11,7 @@ from calibration.model.compiled import (
     by_directions,
     compiled_once,
     rows_per_call,
+    slices,
     with_tangents,
 )
 from calibration.model.extended import (
@@ -77,14 +78,17 @@ def _read_along(extended: ExtendedModel, theta, t, series, d_theta, d_series):
     return with_tangents(function, (theta, series), (d_theta, d_series))[1]
 
 
-def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def reading_tangents(
+    p: TrialPlan, theta: np.ndarray, directions: np.ndarray, dtype: type = float
+) -> np.ndarray:
     """Returns tangents (k, channels, samples) of the readings along `directions` (k, entries).
 
-    The tangents of all channels, also of the pressures, are interpolated between time steps.
+    The tangents of all channels, also of the pressures, are interpolated between time steps. The
+    result has the type `dtype`.
     """
     pressures = _moves(p.extended, Part.PRESSURES, directions)
     moves = pressures | _moves(p.extended, Part.BODY, directions)
-    found = np.zeros((len(directions), len(p.extended.channels), len(p.at)))
+    found: np.ndarray = np.zeros((len(directions), len(p.extended.channels), len(p.at)), dtype)
     ideal: list[np.ndarray] = []
 
     def along(d: np.ndarray) -> np.ndarray:
@@ -92,10 +96,11 @@ def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) ->
         state = _begin_along(body.extended, body.theta, d[:, body.entries], p.numerics)
         series, d_series = _ideal_tangents(p, theta, d, body, state)
         ideal[:] = [series]
-        return _recorded_tangents(p, theta, d, series, d_series)
+        return _recorded_tangents(p, theta, d, series, d_series, dtype)
 
     def along_sensors(d: np.ndarray) -> np.ndarray:
-        return _recorded_tangents(p, theta, d, ideal[0], np.zeros((len(d), *ideal[0].shape)))
+        still = np.zeros((len(d), *ideal[0].shape))
+        return _recorded_tangents(p, theta, d, ideal[0], still, dtype)
 
     # A call with directions of one kind omits effects of the other kind. With equal numbers of
     # rows, both calls share the programs in which no effect differs.
@@ -103,12 +108,12 @@ def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) ->
     kinds = [x for x in kinds if x.any()]
     rows = max((rows_per_call(int(x.sum())) for x in kinds), default=0)
     for kind in kinds:
-        found[kind] = by_directions(along, directions[kind], rows)
+        found[kind] = by_directions(along, directions[kind], rows, dtype)
     if not moves.all():
         if not ideal:
             history = pressure_histories([(p, theta)])
             ideal[:] = [body_readings([(p, theta)], history)[0].series]
-        found[~moves] = by_directions(along_sensors, directions[~moves])
+        found[~moves] = by_directions(along_sensors, directions[~moves], dtype=dtype)
     return found
 
 
@@ -159,6 +164,11 @@ def _ideal_tangents(
     """
     h, times, block = np.asarray(p.grid.h), stage_times(p), BLOCK * p.scheme.stages
     d_body = d_theta[:, body.entries]
+    start = with_pressures(np.asarray(state[0].chambers.p)[None])
+    count = 1 + -(-p.grid.steps // BLOCK) * BLOCK
+    series = np.zeros((count, start.shape[-1]))
+    d_series = np.zeros((len(d_theta), *series.shape))
+    series[:1], d_series[:, 0] = start, 0.0 if initial is None else initial
     fixed: PressureHistory | None = None
     if _moves(p.extended, Part.PRESSURES, d_theta).any():
         moving = acting_part(p.extended, Part.PRESSURES, theta, d_theta)
@@ -187,28 +197,36 @@ def _ideal_tangents(
             body.extended, (body.theta, carry, there), (d_body, d_carry, d_there),
             h, h * done, p.numerics, p.scheme,
         )  # fmt: skip
-        return (saved, d_saved), ((carry, d_carry), pressures)
+        here = slice(1 + done, 1 + done + BLOCK)
+        series[here], d_series[:, here] = saved, d_saved
+        return None, ((carry, d_carry), pressures)
 
-    parts, _ = run_chunks(advance, (state, pressures), p.grid.steps, BLOCK)
-    start = with_pressures(np.asarray(state[0].chambers.p)[None])
-    first = np.zeros((len(d_theta), 1, start.shape[-1])) if initial is None else initial[:, None]
-    series = np.concatenate([start, *(x for x, _ in parts)])
-    return series, np.concatenate([first, *(x for _, x in parts)], axis=1)
+    run_chunks(advance, (state, pressures), p.grid.steps, BLOCK)
+    return series, d_series
 
 
 def _recorded_tangents(
-    p: TrialPlan, theta: np.ndarray, d_theta: np.ndarray, series: np.ndarray, d_series: np.ndarray
+    p: TrialPlan,
+    theta: np.ndarray,
+    d_theta: np.ndarray,
+    series: np.ndarray,
+    d_series: np.ndarray,
+    dtype: type = float,
 ) -> np.ndarray:
     """Returns tangents (k, channels, samples) of real sensors' readings from ideal sensors' ones.
 
     `series` (n, channels) are the readings of ideal sensors at the steps; `d_series` (k, n,
-    channels) are their tangents.
+    channels) are their tangents. The result has the type `dtype`.
     """
     sensors = acting_part(p.extended, Part.SENSORS, theta, d_theta)
-    if not sensors.has_effects:
-        return at_samples(p, np.swapaxes(d_series, 1, 2))
-    t = p.grid.h * np.arange(len(series))
-    (at, series), (_, d_series) = padded(t, series), padded(t, d_series)
-    own = d_theta[:, sensors.entries]
-    read = _read_along(sensors.extended, sensors.theta, at, series, own, d_series)
-    return at_samples(p, np.asarray(read))
+    t, own = p.grid.h * np.arange(len(series)), d_theta[:, sensors.entries]
+    at, readings = padded(t, series)
+    found: np.ndarray = np.zeros((len(d_theta), len(p.extended.channels), len(p.at)), dtype)
+    for rows in slices(len(d_theta), readings.size, DIRECTIONS):
+        if sensors.has_effects:
+            _, along = padded(t, d_series[rows])
+            along = _read_along(sensors.extended, sensors.theta, at, readings, own[rows], along)
+            found[rows] = at_samples(p, np.asarray(along))
+        else:
+            found[rows] = at_samples(p, np.swapaxes(d_series[rows], 1, 2))
+    return found

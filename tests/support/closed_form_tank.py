@@ -48,14 +48,14 @@ def predict(plan, theta):
     return readings(plan.trial, plan.at, theta)
 
 
-def tangents(plan, theta, directions):
-    """Returns the derivatives (k, 5, n) by central differences."""
+def tangents(plan, theta, directions, dtype=float):
+    """Returns the derivatives (k, 5, n) by central differences, with the type `dtype`."""
     h = 1e-4 * np.array([3.0, 1.0, 0.08, 4.5e-7] + [1.0] * (len(theta) - 4))
     each = [
         (predict(plan, theta + step) - predict(plan, theta - step)) / (2.0 * step.sum())
         for step in np.diag(h)
     ]
-    return np.tensordot(directions, np.stack(each), 1)
+    return np.tensordot(directions, np.stack(each), 1).astype(dtype)
 
 
 def replace_the_beam(monkeypatch):

@@ -7,6 +7,7 @@ from calibration.inference import problem
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import TankProblem, normal_equations
 from calibration.measurements.records import Record
+from calibration.model import compiled
 from calibration.model.plan import Resolution
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.experiment.load import load
@@ -40,9 +41,9 @@ def test_no_tangent_is_computed_for_the_shape_of_an_effect_at_its_null(monkeypat
     tank.replace_the_beam(monkeypatch)
     computed = []
 
-    def tangents(plan, theta, directions):
+    def tangents(plan, theta, directions, dtype=float):
         computed.append(len(directions))
-        return tank.tangents(plan, theta, directions)
+        return tank.tangents(plan, theta, directions, dtype)
 
     monkeypatch.setattr(problem, "reading_tangents", tangents)
     experiment = tank.experiment_of((2.0,))
@@ -60,9 +61,9 @@ def test_tangents_of_an_effect_scored_by_secants_are_computed_if_they_are_asked_
     tank.replace_the_beam(monkeypatch)
     computed = []
 
-    def tangents(plan, theta, directions):
+    def tangents(plan, theta, directions, dtype=float):
         computed.append([int(i) for i in np.nonzero(directions)[1]])
-        return tank.tangents(plan, theta, directions)
+        return tank.tangents(plan, theta, directions, dtype)
 
     monkeypatch.setattr(problem, "reading_tangents", tangents)
     experiment = tank.experiment_of((2.0,))
@@ -76,14 +77,19 @@ def test_tangents_of_an_effect_scored_by_secants_are_computed_if_they_are_asked_
     assert computed == [[0, 1, 2, 3], [4], [0, 1, 2, 3, 4]] and asked.any()
 
 
-def test_normal_equations_of_single_precision_derivatives_have_double_precision():
+def test_normal_equations_of_single_precision_derivatives_have_double_precision(monkeypatch):
     """A sum of single-precision products would lose the difference between both derivatives."""
     rng = np.random.default_rng(0)
     first = rng.normal(size=20000).astype(np.float32)
     J = np.stack([first, first + np.float32(1e-4) * rng.normal(size=20000).astype(np.float32)])
-    (found,) = normal_equations({(0, "tip"): rng.normal(size=20000)}, {(0, "tip"): J})
+    r = rng.normal(size=20000)
+    (found,) = normal_equations({(0, "tip"): r}, {(0, "tip"): J})
     exact = J.astype(float)
     np.testing.assert_allclose(found.A, exact @ exact.T, rtol=1e-13)
     apart = np.array([1.0, -1.0])
     distance = np.sum((exact[0] - exact[1]) ** 2)
     np.testing.assert_allclose(apart @ found.A @ apart, distance, rtol=1e-6)
+    monkeypatch.setattr(compiled, "MOST_VALUES", 300)
+    (parts,) = normal_equations({(0, "tip"): r}, {(0, "tip"): J})
+    np.testing.assert_allclose(parts.A, found.A, rtol=1e-13)
+    np.testing.assert_allclose(parts.b, found.b, rtol=1e-9)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.model.compiled import by_directions
+from calibration.model.compiled import MOST_VALUES, by_directions, slices
 
 
 @pytest.mark.parametrize(
@@ -19,3 +19,11 @@ def test_each_call_has_the_same_number_of_directions(k, rows, calls):
     directions = np.arange(3.0 * k).reshape(k, 3)
     np.testing.assert_array_equal(by_directions(double, directions, rows), 2.0 * directions)
     assert sizes == calls
+
+
+def test_slices_of_long_rows_have_whole_multiples_of_rows():
+    assert slices(10, 5) == [slice(0, 10)]
+    assert slices(3, MOST_VALUES // 2) == [slice(0, 2), slice(2, 3)]
+    assert slices(20, MOST_VALUES // 9, 8) == [slice(0, 8), slice(8, 16), slice(16, 20)]
+    assert slices(2, 2 * MOST_VALUES) == [slice(0, 1), slice(1, 2)]
+    assert slices(0, 5) == []

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calibration.model import compiled
 from calibration.model.extended import Part, acting_part, base_values, base_vector, model_parameters
 from calibration.model.plan import Resolution, plan_trial
 from calibration.model.predict import predict_readings
@@ -57,3 +58,16 @@ def test_an_omitted_effect_changes_no_tangent(trial):
     scale = np.abs(present).max(axis=2, keepdims=True)
     assert present.any(axis=(1, 2)).all()
     assert np.all(np.abs(omitted - present) <= 1e-9 * scale)
+
+
+@pytest.mark.parametrize("sensors", [True, False])
+def test_long_series_are_computed_in_parts(trial, monkeypatch, sensors):
+    p, theta = trial
+    entries, unit = model_parameters(NAMES), np.eye(len(theta))
+    if not sensors:
+        unit = unit[[x.effect != "force_crosstalk" for x in entries]]
+    whole = reading_tangents(p, theta, unit)
+    monkeypatch.setattr(compiled, "MOST_VALUES", 1)
+    parts = reading_tangents(p, theta, unit, np.float32)
+    scale = np.abs(whole).max(axis=2, keepdims=True)
+    assert parts.dtype == np.float32 and np.all(np.abs(parts - whole) <= 1e-6 * scale)
