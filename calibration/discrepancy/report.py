@@ -175,8 +175,11 @@ def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
                 row |= {"left_out_trials_agree": t.agreement.t}
                 row |= {"left_out_trials_chance": t.agreement.rank_chance}
                 row |= {"left_out_trials_t_chance": t.agreement.t_chance}
-                least = t.agreement.least_gain
-                row |= {"left_out_trials_least_gain": least if np.isfinite(least) else None}
+                for key, gain in (
+                    ("left_out_trials_least_gain", t.agreement.least_gain),
+                    ("left_out_trials_rest_gain", t.agreement.rest_gain),
+                ):
+                    row |= {key: gain if np.isfinite(gain) else None}
             rows.append(row | {"chosen": s.name == round_.chosen})
     return rows
 

@@ -28,6 +28,8 @@ class Agreement(NamedTuple):
     """p-value of Wilcoxon's signed-rank test on these log gains."""
     least_gain: float
     """Smallest of the gains `Score.held_gains`; -inf for fewer than two trials."""
+    rest_gain: float = -np.inf
+    """Sum of these gains without the largest; -inf for fewer than two trials."""
 
     def agreed(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
         """Returns whether cross-validation confirms the candidate."""
@@ -35,6 +37,10 @@ class Agreement(NamedTuple):
             self.t_chance < settings.left_out_p
             or self.rank_chance < settings.wilcoxon_p
             or self.least_gain > settings.least_held_gain
+            or (
+                self.rest_gain > settings.least_rest_gain
+                and self.least_gain > -settings.most_loss_share * self.rest_gain
+            )
         )
 
 
@@ -42,12 +48,17 @@ def agreement(left_out: np.ndarray, held_gains: np.ndarray) -> Agreement:
     """Returns the result of cross-validation from log gains and gains (trials,) of a `Score`."""
     n = len(left_out)
     if not np.any(left_out):  # the candidate changes no trial
-        return Agreement(0.0, 1.0, 1.0, -np.inf)
+        return Agreement(0.0, 1.0, 1.0, -np.inf, -np.inf)
     spread = float(left_out.std(ddof=1)) / np.sqrt(n) if n > 1 else np.inf
     t = float(left_out.mean()) / max(spread, 1e-300)
     t_chance = float(student.sf(t, n - 1)) if n > 2 else 1.0
     ranks = float(wilcoxon(left_out, alternative="greater").pvalue)
-    return Agreement(t, t_chance, ranks, float(np.min(held_gains)) if n > 1 else -np.inf)
+    least, rest = (
+        (float(np.min(held_gains)), float(np.sum(held_gains) - np.max(held_gains)))
+        if n > 1
+        else (-np.inf, -np.inf)
+    )
+    return Agreement(t, t_chance, ranks, least, rest)
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,14 @@ class SelectionSettings:
     in 1.0 % of the cases with two trials, 2.5 % with three and 1.7 % with four (3000 simulated
     cases each)."""
 
+    least_rest_gain: float = 20.0
+    """Cross-validation also confirms a candidate if its total gain without the trial of the largest
+    gain exceeds this value, and no trial has a large loss (`most_loss_share`). A candidate that
+    acts only in fast trials changes the slow trials by less than the noise. The other three tests
+    then refuse the candidate, even if its gains in several fast trials are large."""
+    most_loss_share: float = 0.1
+    """A loss is large if it exceeds this fraction of the total gain without the best trial."""
+
     complete_refits: bool = False
     """Whether each candidate is refitted until the fit converges. Otherwise, candidates race on a
     coarse mesh."""

@@ -9,7 +9,7 @@ from calibration.discrepancy.localise import locate_residuals
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import tested_excess
 from calibration.inference.problem import TankProblem
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import CHANNELS, row_of
 
 MOST_PERIODS = 20
 """Largest number of periods of a common sine in the longest trial. The spectrum of a single trial
@@ -37,12 +37,14 @@ def best_peak(peaks: Sequence[SinePeak]) -> SinePeak:
 class WhiteSeries(NamedTuple):
     """Times [s] (n,) of a trial's readings, their whitened residual (n,), and the whitener.
 
-    The whitener transforms series (k, n) of the readings to whitened series (k, n).
+    The whitener transforms series (k, n) of the readings to whitened series (k, n). The `envelope`
+    (n,) multiplies the sines that are searched for.
     """
 
     t: np.ndarray
     residual: np.ndarray
     whiten: Callable[[np.ndarray], np.ndarray]
+    envelope: np.ndarray | float = 1.0
 
 
 def common_sine(series: Sequence[WhiteSeries], peak: float) -> tuple[float, float]:
@@ -69,36 +71,41 @@ def _gain(series: Sequence[WhiteSeries], frequency: float) -> float:
     A, b = np.zeros((2, 2)), np.zeros(2)
     for x in series:
         turn = 2.0 * np.pi * frequency * x.t
-        white = x.whiten(np.stack([np.sin(turn), np.cos(turn)]))
+        white = x.whiten(x.envelope * np.stack([np.sin(turn), np.cos(turn)]))
         A += white @ white.T
         b += white @ x.residual
     gain = float(b @ np.linalg.pinv(A, hermitian=True) @ b)
     return gain if np.isfinite(gain) else 0.0
 
 
-def sine_peaks(part: TankProblem, fit: Fit, noise_floor: float) -> dict[str, SinePeak]:
+def sine_peaks(part: TankProblem, fit: Fit, noise_floor: float) -> dict[tuple[str, bool], SinePeak]:
     """Returns the most significant sine in the residual of each sensor above the `noise_floor`.
 
     `fit` is a fit to the trials of `part`. If no trial has a significant sine, the result is the
-    sine that explains most of all trials together.
+    sine that explains most of all trials together. The result for (sensor, False) is a sine. The
+    result for (sensor, True) is a sine that multiplies the predicted readings.
     """
-    found = dict[str, SinePeak]()
+    found = dict[tuple[str, bool], SinePeak]()
     left, white = tested_excess(part, fit), part.whiteners(fit.predicted)
     residuals = part.residuals(fit.predicted, white)
     for x in locate_residuals(part.records, fit.predicted, left, noise_floor):
         channel = x["channel"]
         sensor = "pressure" if CHANNELS[channel].kind == "pressure" else channel
         lines = [p for p in left[channel].patterns if p.has_line]
-        peaks = [SinePeak(p.line_p, p.line, p.frequency_Hz) for p in lines]
-        if not peaks:
-            series = [
-                WhiteSeries(part.records[i].t[part.records[i].there(channel)], r, white[i, channel])
-                for (i, name), r in residuals.items()
-                if name == channel
-            ]
-            share, frequency = common_sine(series, x["in_worst_trial"]["peak_Hz"])
-            peaks = [SinePeak(1.0, share, frequency)]
-        if sensor in found:
-            peaks.append(found[sensor])
-        found[sensor] = best_peak(peaks)
+        significant = [SinePeak(p.line_p, p.line, p.frequency_Hz) for p in lines]
+        highest, row = x["in_worst_trial"]["peak_Hz"], row_of(channel)
+        series = []
+        for (i, name), r in residuals.items():
+            if name == channel:
+                there = part.records[i].there(channel)
+                y = fit.predicted[i][row][there]
+                series.append(WhiteSeries(part.records[i].t[there], r, white[i, channel], y))
+        for of_gain in (False, True):
+            peaks = [] if of_gain else significant
+            if not peaks:
+                given = series if of_gain else [s._replace(envelope=1.0) for s in series]
+                peaks = [SinePeak(1.0, *common_sine(given, highest))]
+            if (sensor, of_gain) in found:
+                peaks = [*peaks, found[sensor, of_gain]]
+            found[sensor, of_gain] = best_peak(peaks)
     return found

@@ -30,6 +30,7 @@ from calibration.learning.pursuit import (
 from calibration.learning.states import largest_states
 from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
 from calibration.model.plan import TrialPlan
+from slider_jax.effects.dictionary.sensor import SensorGainSine
 from slider_jax.effects.library import DICTIONARY
 
 Progress = Callable[[str], None]
@@ -111,7 +112,9 @@ class Dictionary:
         peaks = sine_peaks(found.part(outcome.used_trials), start, floor)
         for i, p in enumerate(entries):
             if p.effect in DICTIONARY and p.is_shape:
-                seen = [peaks[s] for s in DICTIONARY[p.effect].sensors if s in peaks]
+                kind = DICTIONARY[p.effect]
+                of_gain = issubclass(kind, SensorGainSine)
+                seen = [peaks[s, of_gain] for s in kind.sensors if (s, of_gain) in peaks]
                 peak = best_peak([*seen, SinePeak(1.0, 0.0, p.prior.null)])
                 x = np.clip(scales.get(p.effect, peak.frequency), p.prior.low, p.prior.high)
                 theta[i] = x

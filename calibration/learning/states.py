@@ -16,6 +16,7 @@ from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.pressures import REAR, chamber_history, set_pressures, start_chambers
 from slider_jax.dynamics.step import Snapshot, at_rest
 from slider_jax.effects import Chamber, Readings
+from slider_jax.effects.functions import CubicDrift
 from slider_jax.effects.library import DICTIONARY
 from slider_jax.simulation.trial import advance_chunk, run_chunks
 
@@ -23,7 +24,9 @@ RARE = 0.005
 """Fraction of the visited states beyond each end of a function's table. The same fraction of the
 states exceeds the scale of a term. A state has extreme values when the drive switches."""
 OF_READINGS = ("Instrument", "WaterMotion")
-"""Places whose terms depend on the readings or their times."""
+"""Places whose terms depend on the readings or their times. A `CubicDrift` depends on the time."""
+OF_CHAMBERS = ("Command", "Flow", "ActingPressure")
+"""Places whose other terms depend on the state of the chambers."""
 PARTS = ("body", "tail")
 """Parts of the robot that have their own parameter in some terms."""
 
@@ -45,12 +48,12 @@ def visited_states(
     chamber = Chamber(p, p_set, jnp.ones(()), REAR, jnp.sign(p), jnp.zeros((0, *p.shape)))
     rows = [jnp.asarray(readings[row_of(name)]) for name in BUILT_IN]
     read, found = Readings(jnp.asarray(plan.at), *rows), {}
-    local = any(x.place() not in ("Flow", *OF_READINGS) for x in terms.values())
+    local = any(x.place() not in (*OF_CHAMBERS, *OF_READINGS) for x in terms.values())
     sections = _visited_sections(plan, model) if local else []
     for name, term in terms.items():
-        if term.place() in OF_READINGS:
+        if term.place() in OF_READINGS or isinstance(term, CubicDrift):
             found[name] = {"": np.ravel(term.state(read))}
-        elif term.place() == "Flow":
+        elif term.place() in OF_CHAMBERS:
             found[name] = {"": np.ravel(term.state(chamber))}
         else:
             found[name] = _in_parts(term, sections, plan.grid.steps)

@@ -158,6 +158,16 @@ def waves(z: Array, factor: float = 1.0) -> Basis:
     return factor * jnp.cos(z), factor * jnp.cos(2.0 * z), factor * jnp.cos(3.0 * z)
 
 
+def rises(z: Array, width: float, factor: float | Scalar = 1.0) -> Basis:
+    """Returns the smooth sign z/(z^2 + w^2)^(1/2), z and (z^2 + w^2)^(1/2), times `factor`.
+
+    w is `width`. Beyond -1 and 1, each function is constant.
+    """
+    z = jnp.clip(z, -1.0, 1.0)
+    size = magnitude(z, width)
+    return factor * z / size, factor * z, factor * size
+
+
 class Powers(eqx.Module):
     """A sum of three functions of a state, each multiplied by a parameter."""
 
@@ -205,6 +215,26 @@ class Drift(eqx.Module):
         """Returns the sum at the time t."""
         first, second = self.basis(t)
         return self.a * first + self.b * second
+
+
+class CubicDrift(Powers):
+    """A drift a q + b q^2 + c q^3 with q = t/scale and the time t of the trial."""
+
+    scale: Scalar = shape_parameter(2.0, 1e-2, 1e5, "s", "the durations of trials")
+    """Time after which the drift is constant. A learned function uses the 99.5 % quantile of t."""
+
+    def state(self, x: Readings) -> Array:
+        """Returns the time [s]."""
+        return x.t
+
+    def basis(self, z: Array) -> Basis:
+        """Returns the basis functions at the time z."""
+        q = jnp.clip(z / self.scale, 0.0, 1.0)
+        return q, q**2, q**3
+
+    def at(self, t: Array) -> Array:
+        """Returns the drift at the time `t` [s]."""
+        return self.total(self.basis(t))
 
 
 class LocalDrift(InPart, Drift):

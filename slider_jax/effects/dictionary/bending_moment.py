@@ -17,7 +17,9 @@ from slider_jax.effects.functions import (
     magnitude,
     mixed_powers,
     odd_powers,
+    rises,
     signed_root,
+    waves,
 )
 
 CURVATURE, RATE, MOMENT = 3.0, 60.0, 0.05
@@ -219,9 +221,7 @@ class DampingTerm(CurvatureTerm):
 
         The term `moment_of_rate` describes a constant f.
         """
-        q = jnp.clip(z / self.scale, -1.0, 1.0)
-        size, factor = magnitude(q, CORNER), CURVATURE / RATE
-        return factor * q / size, factor * q, factor * size
+        return rises(z / self.scale, CORNER, CURVATURE / RATE)
 
     def moment(self, x, memory, dt):
         return self.of_curvature(x) * x.kappa_t, memory
@@ -312,6 +312,96 @@ class DampingOfPressure(ChamberTerm):
 
     def moment(self, x, memory, dt):
         return x.EI * self.of_pressure(x) * x.kappa_t, memory
+
+
+class StiffnessOfPressure(ChamberTerm):
+    """M = EI f(p) kappa in the body, with the pressure p of the chamber.
+
+    f is a sum of p, |p| and p^2.
+    """
+
+    title = "stiffness of the body that depends on the pressure"
+    term_curve = Curve("pressure of the chamber", "Pa", "change of the stiffness/EI", "-")
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale)
+
+    def moment(self, x, memory, dt):
+        return x.EI * self.of_pressure(x) * x.kappa, memory
+
+
+class MomentOfPressureAndCurvature(CurvatureTerm):
+    """M = c p/(200 kPa) f(kappa) in the body, with c = 0.05 N m and the pressure p of the chamber.
+
+    f is a sum of kappa, |kappa| and kappa^2.
+    """
+
+    title = "moment of the chambers that depends on the curvature"
+    segments = ("body",)
+    term_curve = Curve("curvature kappa", "1/m", "change of the moment at 200 kPa/(0.05 N m)", "-")
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale)
+
+    def moment(self, x, memory, dt):
+        f = self.cells(x) * self.total(self.basis(self.state(x)))
+        return MOMENT * x.pressure / FULL_PRESSURE * f, memory
+
+
+class MomentAlongTerm(PartPowers, BendingMoment):
+    """A moment that is multiplied by a function f of the position s along the robot."""
+
+    part = "robot"
+    scale: Scalar = shape_parameter(0.4, 1e-2, 100.0, "m", "the lengths of soft robots")
+    """Length of the robot. A learned function uses the 99.5 % quantile of s."""
+
+    def state(self, x: Section) -> Array:
+        """Returns the position of each cell."""
+        return x.s
+
+    def basis(self, z: Array) -> Basis:
+        """Returns the basis functions at the position z. Base parameters describe a constant f."""
+        return waves(z / self.scale)
+
+    def along(self, x: Section) -> Array:
+        """Returns f in the part, and 0 elsewhere."""
+        return self.cells(x) * self.total(self.basis(self.state(x)))
+
+
+class StiffnessAlongRobot(MomentAlongTerm):
+    """M = EI f(s) kappa, with the position s along the robot."""
+
+    title = "stiffness that varies along the robot"
+    segments = ("body", "tail")
+    term_curve = Curve("position s", "m", "change of the stiffness/EI", "-")
+
+    def moment(self, x, memory, dt):
+        return x.EI * self.along(x) * x.kappa, memory
+
+
+class DampingAlongRobot(MomentAlongTerm):
+    """M = EI c f(s) d(kappa)/dt, with c = 0.05 s and the position s along the robot."""
+
+    title = "damping that varies along the robot"
+    segments = ("body", "tail")
+    term_curve = Curve("position s", "m", "change of the damping time divided by 0.05 s", "-")
+
+    def moment(self, x, memory, dt):
+        return x.EI * CURVATURE / RATE * self.along(x) * x.kappa_t, memory
+
+
+class MomentAlongBody(MomentAlongTerm):
+    """M = c p/(200 kPa) f(s) in the body, with c = 0.05 N m and the position s along the robot.
+
+    p is the pressure of the chamber.
+    """
+
+    title = "moment of the chambers that varies along the body"
+    segments, part = ("body",), "body"
+    term_curve = Curve("position s", "m", "change of the moment at 200 kPa/(0.05 N m)", "-")
+
+    def moment(self, x, memory, dt):
+        return MOMENT * x.pressure / FULL_PRESSURE * self.along(x), memory
 
 
 class FrictionOfPressure(ChamberTerm):

@@ -7,13 +7,22 @@ from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Curve, Flow, shape_parameter
-from slider_jax.effects.functions import Basis, Powers, even_powers, odd_powers, signed_root
+from slider_jax.effects.functions import (
+    Basis,
+    Powers,
+    even_powers,
+    mixed_powers,
+    odd_powers,
+    signed_root,
+)
 
 CORNER = 0.02
 """Width of the smooth corner of the square root, as a fraction of the largest difference."""
 RATE, OPENING = 3e6, 12.5
 """dp/dt [Pa/s] at a difference of 250 kPa, and 1/k [1/s], both at k = 0.08 s. The parameters of a
 term are factors of one of these two."""
+MEMORY_TIME = 0.3
+"""Time constant [s] of the recent flow: a stride at 3 Hz."""
 WHY_SCALE = "the pressures of a soft robot"
 
 
@@ -194,3 +203,84 @@ class FillingOpeningOfOther(OpeningTerm):
 
     def acts(self, x):
         return x.filling
+
+
+class RearOpening(OpeningTerm):
+    """1/k of the rear chamber changes by a function f of |p|."""
+
+    title = "valve of the rear chamber whose opening depends on the pressure"
+
+    def acts(self, x):
+        return x.rear > 0
+
+
+class OpeningOfDifference(OpeningTerm):
+    """1/k of one chamber changes by a function f of the difference |p_other| - |p|."""
+
+    term_curve = Curve("difference |p_other| - |p|", "Pa", "change of 1/k", "1/s")
+
+    def state(self, x):
+        size = jnp.abs(x.p)
+        return other_chamber(size) - size
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale, OPENING)
+
+
+class FrontOpeningOfDifference(OpeningOfDifference):
+    """1/k of the front chamber changes by a function f of |p_rear| - |p_front|."""
+
+    title = "valve of the front chamber whose opening depends on the rear chamber's pressure"
+
+    def acts(self, x):
+        return x.rear == 0
+
+
+class RearOpeningOfDifference(OpeningOfDifference):
+    """1/k of the rear chamber changes by a function f of |p_front| - |p_rear|."""
+
+    title = "valve of the rear chamber whose opening depends on the front chamber's pressure"
+
+    def acts(self, x):
+        return x.rear > 0
+
+
+class OpeningOfRecentFlow(OpeningTerm):
+    """1/k changes by a function f of the recent flow r.
+
+        0.3 s dr/dt = |q| k - r
+
+    q is dp/dt without the effect. The curve and the scale of a learned function use |p_set - p|
+    instead of r. r is hardly ever larger than the largest |p_set - p|.
+    """
+
+    states = 1
+    term_curve = Curve("recent mean of |dp/dt| k", "Pa", "change of 1/k", "1/s")
+
+    def state(self, x):
+        return jnp.abs(x.p_set - x.p)
+
+    def rate(self, rate, x):
+        change = self.total(self.basis(x.states[0])) * (x.p_set - x.p)
+        return rate + jnp.where(self.acts(x), change, 0.0)
+
+    def state_rates(self, rate, x):
+        return ((jnp.abs(rate) * x.k - x.states[0]) / MEMORY_TIME)[None]
+
+
+class FillingOpeningOfRecentFlow(OpeningOfRecentFlow):
+    """1/k changes by a function f of the recent flow while the chamber fills."""
+
+    title = "valve whose opening depends on the recent flow while the chamber fills"
+
+    def acts(self, x):
+        return x.filling
+
+
+class VentingOpeningOfRecentFlow(OpeningOfRecentFlow):
+    """1/k changes by a function f of the recent flow while the chamber vents."""
+
+    title = "valve whose opening depends on the recent flow while the chamber vents"
+
+    def acts(self, x):
+        return ~x.filling

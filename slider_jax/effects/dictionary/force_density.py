@@ -14,7 +14,10 @@ from slider_jax.effects.functions import (
     LocalDrift,
     PartPowers,
     even_powers,
+    magnitude,
+    mixed_powers,
     odd_powers,
+    rises,
     waves,
 )
 
@@ -24,6 +27,8 @@ The parameter of a term with a factor for each part is the force at the term's v
 FORCE = 10.0
 """Force per length [N/m], about the drag of the crossflow at 0.5 m/s with C_d = 3."""
 WHY = "the drag of the crossflow at 0.5 m/s is 11 N/m with C_d = 3"
+CORNER = 0.1
+"""Width of a smooth corner, as a fraction of the scale of the state."""
 AXIAL = Curve("lateral velocity u_n", "m/s", "axial force F_tau", "N/m")
 VELOCITY = Curve("lateral velocity u_n", "m/s", "normal force F_n", "N/m")
 
@@ -130,13 +135,10 @@ def quadratic(u: Array) -> Array:
     return u * jnp.abs(u) / SPEED**2
 
 
-class DragAlongRobot(PartPowers, ForceTerm):
-    """F_n = f(s) u_n |u_n|, with the position s along the robot and u_n in units of `SPEED`."""
+class ForceAlongTerm(PartPowers, ForceTerm):
+    """A force that is multiplied by a function f of the position s along the robot."""
 
-    title = "drag that varies along the robot"
-    term_curve = Curve("position s", "m", "normal force F_n at 0.5 m/s", "N/m")
     part = "robot"
-
     scale: Scalar = shape_parameter(0.4, 1e-2, 100.0, "m", "the lengths of soft robots")
     """Length of the robot. A learned function uses the 99.5 % quantile of s."""
 
@@ -145,11 +147,134 @@ class DragAlongRobot(PartPowers, ForceTerm):
         return x.s
 
     def basis(self, z: Array) -> Basis:
-        """Returns the basis functions at the position z; C_d describes a constant f."""
+        """Returns the basis functions at the position z. Base parameters describe a constant f."""
         return waves(z / self.scale, FORCE)
+
+    def along(self, x: Section) -> Array:
+        """Returns f in each cell."""
+        return self.total(self.basis(self.state(x)))
+
+
+class DragAlongRobot(ForceAlongTerm):
+    """F_n = f(s) u_n |u_n|, with the position s along the robot and u_n in units of `SPEED`."""
+
+    title = "drag that varies along the robot"
+    term_curve = Curve("position s", "m", "normal force F_n at 0.5 m/s", "N/m")
+
+    def amount(self, x):
+        return self.along(x) * quadratic(x.u_n)
+
+
+class AddedMassAlongRobot(ForceAlongTerm):
+    """F_n = f(s) du_n/dt, with the acceleration in units of `ACCELERATION`."""
+
+    title = "added mass that varies along the robot"
+    term_curve = Curve("position s", "m", "normal force F_n at 10 m/s^2", "N/m")
+
+    def amount(self, x):
+        return self.along(x) * x.u_n_t / ACCELERATION
+
+
+class DragOfAcceleration(PartPowers, ForceTerm):
+    """F_n = f(w) u_n |u_n| with w = sign(u_n) du_n/dt, which is positive while |u_n| grows.
+
+    f is a sum of a smooth sign of w, w and |w|. u_n is in units of `SPEED`. The corner of the sign
+    of u_n is smooth.
+    """
+
+    title = "drag that depends on the acceleration"
+    term_curve = Curve("growth of |u_n|", "m/s^2", "normal force F_n at 0.5 m/s", "N/m")
+    part = "robot"
+    scale: Scalar = shape_parameter(
+        ACCELERATION, 1e-2, 1e3, "m/s^2", "a soft robot's accelerations"
+    )
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |w|."""
+
+    def state(self, x: Section) -> Array:
+        """Returns w in each cell."""
+        return x.u_n_t * x.u_n / magnitude(x.u_n, CORNER * SPEED)
+
+    def basis(self, z: Array) -> Basis:
+        """Returns the basis functions at the growth z."""
+        return rises(z / self.scale, CORNER, FORCE)
 
     def amount(self, x):
         return self.total(self.basis(self.state(x))) * quadratic(x.u_n)
+
+
+class AngleTerm(PartPowers, ForceTerm):
+    """A force that depends on the angle phi between the robot's axis and the axis of the tank."""
+
+    part = "robot"
+    scale: Scalar = shape_parameter(0.5, 1e-3, 10.0, "rad", "the angles of a soft robot")
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |phi|."""
+
+    def state(self, x: Section) -> Array:
+        """Returns phi in each cell."""
+        return x.phi
+
+    def basis(self, z: Array) -> Basis:
+        """Returns the basis functions at the angle z."""
+        return mixed_powers(z / self.scale, FORCE)
+
+    def of_angle(self, x: Section) -> Array:
+        """Returns f in each cell."""
+        return self.total(self.basis(self.state(x)))
+
+
+class DragOfAngle(AngleTerm):
+    """F_n = f(phi) u_n |u_n|, with u_n in units of `SPEED`. f is a sum of phi, |phi| and phi^2."""
+
+    title = "drag that depends on the angle of the robot"
+    term_curve = Curve("angle phi", "rad", "normal force F_n at 0.5 m/s", "N/m")
+
+    def amount(self, x):
+        return self.of_angle(x) * quadratic(x.u_n)
+
+
+class AddedMassOfAngle(AngleTerm):
+    """F_n = f(phi) du_n/dt in units of `ACCELERATION`. f is a sum of phi, |phi| and phi^2."""
+
+    title = "added mass that depends on the angle of the robot"
+    term_curve = Curve("angle phi", "rad", "normal force F_n at 10 m/s^2", "N/m")
+
+    def amount(self, x):
+        return self.of_angle(x) * x.u_n_t / ACCELERATION
+
+
+class NormalForceOfAngle(AngleTerm):
+    """F_n is an odd function of the angle phi, as a spring or a slow stream causes."""
+
+    title = "normal force that depends on the angle of the robot"
+    term_curve = Curve("angle phi", "rad", "normal force F_n", "N/m")
+
+    def basis(self, z):
+        return odd_powers(z / self.scale, FORCE)
+
+    def amount(self, x):
+        return self.of_angle(x)
+
+
+class NormalForceOfAxialVelocity(VelocityTerm):
+    """F_n = f(u_tau) u_n, with u_n in units of `SPEED`.
+
+    f is a sum of u_tau, |u_tau| and u_tau^2.
+    """
+
+    title = "normal force that depends on the axial velocity"
+    term_curve = Curve("axial velocity u_tau", "m/s", "normal force F_n at u_n = 0.5 m/s", "N/m")
+    part = "robot"
+
+    def state(self, x):
+        return x.u_tau
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale, FORCE)
+
+    def amount(self, x):
+        return super().amount(x) * x.u_n / SPEED
 
 
 class NormalForceOfAcceleration(FactorTerm):

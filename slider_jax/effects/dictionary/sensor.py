@@ -27,6 +27,8 @@ FRICTION_WIDTHS = (0.1, 0.3, 1.0)
 """Changes of a reading in which dry friction builds up, divided by the scale of the sensor."""
 DELAY = 0.02
 """Delay [s] that one unit of a delay's parameters causes: a frame of a camera at 50 Hz."""
+RATE_TIME = 0.05
+"""Time [s] that multiplies the rate of a reading: a quarter of a stride at 5 Hz."""
 WHY = "a sensor with an error as large as its scale is broken"
 OF_TIME = Curve("time t", "s", "change divided by the scale", "-")
 OF_PHASE = Curve("phase, the fraction of f t", "-", "change divided by the scale", "-")
@@ -35,6 +37,10 @@ OF_PRESSURE = Curve("pressure divided by 100 kPa", "-", "change divided by the s
 OF_TIP = Curve("tip position divided by 20 mm", "-", "change divided by the scale", "-")
 OF_STEP = Curve("time t after a step of the reading", "s", "change divided by the step", "-")
 OF_FIRST_LOAD = Curve("first reading divided by its scale", "-", "change divided by the scale", "-")
+OF_RECOIL = Curve("recoil divided by 1 N", "-", "change divided by the scale", "-")
+OF_THRUST = Curve("thrust divided by 0.2 N", "-", "change divided by the scale", "-")
+OF_RATE = Curve("change of the reading in 0.05 s/scale", "-", "change divided by the scale", "-")
+OF_GAIN_PHASE = Curve("phase, the fraction of f t", "-", "change of the gain", "-")
 OF_GAIN = Curve("time t", "s", "change of the gain", "-")
 
 
@@ -170,6 +176,28 @@ class OtherPowers(SensorPowers):
         return self.total(self.basis(self.state(true))).sum(axis=0)
 
 
+class SensorOfRate(SensorPowers):
+    """f is an odd function of 0.05 s dq/dt. q is the reading divided by the scale."""
+
+    term_curve = OF_RATE
+
+    def source(self):
+        return self.sensor()
+
+    def state(self, x: Readings) -> Array:
+        """Returns the rate of the readings, times 0.05 s and divided by the scale."""
+        return self._rate(self.sensor().of(x), x.t)
+
+    def _rate(self, z: Array, t: Array) -> Array:
+        return RATE_TIME * jnp.asarray(jnp.gradient(z, axis=-1)) / (t[1] - t[0])
+
+    def basis(self, z):
+        return odd_powers(z / self.scale)
+
+    def change(self, z, true):
+        return self.total(self.basis(self._rate(z, true.t)))
+
+
 class SensorMemory(Powers, SensorTerm):
     """f is a sum of three lagged readings, with the time constants in `MEMORY_TIMES`.
 
@@ -302,6 +330,15 @@ class SensorSine(Sine, SensorTerm):
         return self.at(true.t)
 
 
+class SensorGainSine(SensorSine):
+    """y_read = y (1 + a sin(2 pi f t) + b cos(2 pi f t)), with the frequency f."""
+
+    term_curve = OF_GAIN_PHASE
+
+    def change(self, z, true):
+        return z * self.at(true.t)
+
+
 class PressureReadingPowers(OfPressure, SensorOddPowers):
     """An error that is an odd function of the reading of the pressure sensors."""
 
@@ -356,6 +393,18 @@ class PressureReadingOfOther(OfPressure, SensorPowers):
         return true._replace(p_front=true.p_front + of_rear, p_rear=true.p_rear + of_front)
 
 
+class PressureReadingOfRate(OfPressure, SensorOfRate):
+    """An error of the pressure sensors that depends on the rate of the reading."""
+
+    title = "error of the pressure sensors that depends on the rate of the reading"
+
+
+class PressureReadingGainSine(OfPressure, SensorGainSine):
+    """A sine in the gain of the pressure sensors."""
+
+    title = "a sine in the gain of the pressure sensors"
+
+
 class PressureReadingSine(OfPressure, SensorSine):
     """A sine in the readings of the pressure sensors."""
 
@@ -396,6 +445,18 @@ class ThrustReadingHysteresis(OfThrust, SensorHysteresis):
     """A hysteresis of the thrust sensor."""
 
     title = "hysteresis of the thrust sensor"
+
+
+class ThrustReadingOfRate(OfThrust, SensorOfRate):
+    """An error of the thrust sensor that depends on the rate of the reading."""
+
+    title = "error of the thrust sensor that depends on the rate of the reading"
+
+
+class ThrustReadingGainSine(OfThrust, SensorGainSine):
+    """A sine in the gain of the thrust sensor."""
+
+    title = "a sine in the gain of the thrust sensor"
 
 
 class ThrustReadingSine(OfThrust, SensorSine):
@@ -460,6 +521,18 @@ class RecoilReadingHysteresis(OfRecoil, SensorHysteresis):
     title = "hysteresis of the recoil sensor"
 
 
+class RecoilReadingOfRate(OfRecoil, SensorOfRate):
+    """An error of the recoil sensor that depends on the rate of the reading."""
+
+    title = "error of the recoil sensor that depends on the rate of the reading"
+
+
+class RecoilReadingGainSine(OfRecoil, SensorGainSine):
+    """A sine in the gain of the recoil sensor."""
+
+    title = "a sine in the gain of the recoil sensor"
+
+
 class RecoilReadingSine(OfRecoil, SensorSine):
     """A sine in the readings of the recoil sensor."""
 
@@ -522,7 +595,69 @@ class TipReadingDelay(OfTip, SensorDelay):
     title = "delay of the tip sensor that depends on the tip position"
 
 
+class TipReadingOfRate(OfTip, SensorOfRate):
+    """An error of the tip sensor that depends on the rate of the reading."""
+
+    title = "error of the tip sensor that depends on the rate of the reading"
+
+
+class TipReadingGainSine(OfTip, SensorGainSine):
+    """A sine in the gain of the tip sensor."""
+
+    title = "a sine in the gain of the tip sensor"
+
+
 class TipReadingSine(OfTip, SensorSine):
     """A sine in the readings of the tip sensor."""
 
     title = "a sine in the readings of the tip sensor"
+
+
+class ThrustReadingOfRecoil(OfThrust, OtherPowers):
+    """An error of the thrust sensor that is a function of the recoil."""
+
+    title = "error of the thrust sensor that depends on the recoil"
+    term_curve = OF_RECOIL
+
+    def source(self):
+        return RECOIL
+
+
+class RecoilReadingOfThrust(OfRecoil, OtherPowers):
+    """An error of the recoil sensor that is a function of the thrust."""
+
+    title = "error of the recoil sensor that depends on the thrust"
+    term_curve = OF_THRUST
+
+    def source(self):
+        return THRUST
+
+
+class TipReadingOfPressure(OfTip, OtherPowers):
+    """An error of the tip sensor that is a function of the pressures."""
+
+    title = "error of the tip sensor that depends on the pressures"
+    term_curve = OF_PRESSURE
+
+    def source(self):
+        return PRESSURE
+
+
+class TipReadingOfRecoil(OfTip, OtherPowers):
+    """An error of the tip sensor that is a function of the recoil."""
+
+    title = "error of the tip sensor that depends on the recoil"
+    term_curve = OF_RECOIL
+
+    def source(self):
+        return RECOIL
+
+
+class PressureReadingOfTip(OfPressure, OtherPowers):
+    """An error of the pressure sensors that is a function of the tip position."""
+
+    title = "error of the pressure sensors that depends on the tip position"
+    term_curve = OF_TIP
+
+    def source(self):
+        return TIP

@@ -4,8 +4,10 @@ import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, WaterMotion, parameter, shape_parameter
-from slider_jax.effects.functions import Sine
+from slider_jax.effects.functions import CubicDrift, Sine
 
+DRIFT = 0.05
+"""Velocity [m/s] that one unit of a drift's parameters adds."""
 WHY = "the water moves more slowly than the tail"
 
 
@@ -35,6 +37,37 @@ class WaterSineAcross(WaterSine):
 
     title = "water that oscillates across the tank"
     term_curve = Curve("phase, the fraction of f t", "-", "velocity U_y", "m/s")
+
+    def velocity(self, t):
+        return jnp.zeros_like(t), self.at(t)
+
+
+class WaterDrift(CubicDrift, WaterMotion):
+    """A component of the water's velocity is 0.05 m/s times a q + b q^2 + c q^3.
+
+    q is t/scale, with the time t of the trial.
+    """
+
+    def basis(self, z):
+        q, square, cube = super().basis(z)
+        return DRIFT * q, DRIFT * square, DRIFT * cube
+
+
+class WaterDriftAlong(WaterDrift):
+    """The velocity of the water along x, the axis of the tank, drifts."""
+
+    title = "current along the tank that drifts during a trial"
+    term_curve = Curve("time t", "s", "velocity U_x", "m/s")
+
+    def velocity(self, t):
+        return self.at(t), jnp.zeros_like(t)
+
+
+class WaterDriftAcross(WaterDrift):
+    """The velocity of the water along y, across the tank, drifts."""
+
+    title = "current across the tank that drifts during a trial"
+    term_curve = Curve("time t", "s", "velocity U_y", "m/s")
 
     def velocity(self, t):
         return jnp.zeros_like(t), self.at(t)

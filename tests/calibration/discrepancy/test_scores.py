@@ -141,6 +141,19 @@ def test_few_trials_agree_by_the_gain_of_every_trial(gains, agreed):
     assert agreement(np.ones(len(gains)), np.array(gains)).agreed() is agreed
 
 
+@pytest.mark.parametrize(
+    ("gains", "agreed"),
+    [
+        ((900.0, 60.0, 25.0, 0.5, -1.0, -2.0), True),  # acts in the three fast trials only
+        ((900.0, 12.0, 4.0, 0.5, -1.0, -2.0), False),  # only one trial gains much
+        ((900.0, 60.0, 25.0, 0.5, -1.0, -9.0), False),  # one trial becomes clearly worse
+    ],
+)
+def test_trials_agree_if_several_gain_much_and_none_loses_much(gains, agreed):
+    log_gains = np.array([3.0, 0.1, 0.05, 0.001, -0.001, -0.002])
+    assert agreement(log_gains, np.array(gains)).agreed() is agreed
+
+
 @pytest.mark.parametrize(("trials", "most"), [(2, 0.015), (3, 0.035), (4, 0.025), (8, 0.015)])
 def test_few_absent_effects_are_confirmed_with_any_number_of_trials(trials, most):
     """The stated chances are 1.0, 2.5 and 1.7 % with two, three and four trials."""

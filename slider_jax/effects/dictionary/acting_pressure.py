@@ -1,0 +1,67 @@
+"""Terms of the pressure that bends the body."""
+
+from abc import abstractmethod
+
+from jaxtyping import Array
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ActingPressure, Chamber, Curve, shape_parameter
+from slider_jax.effects.dictionary.flow import WHY_SCALE, other_chamber
+from slider_jax.effects.functions import Basis, Powers, mixed_powers, odd_powers
+
+PRESSURE = 20e3
+"""Pressure [Pa] that one unit of a term's parameters adds: a tenth of a typical pressure."""
+
+
+class ActingPressureTerm(Powers, ActingPressure):
+    """p_act = p + f(z). f is a sum of three basis functions of a state z."""
+
+    @abstractmethod
+    def of_pressures(self, p: Array) -> Array:
+        """Returns the state z of the chambers with the pressures `p` (..., 2)."""
+
+    @abstractmethod
+    def basis(self, z: Array) -> Basis:
+        """Returns the basis functions at the state z."""
+
+    def state(self, x: Chamber) -> Array:
+        """Returns the state z of the chambers."""
+        return self.of_pressures(x.p)
+
+    def act(self, p, memory, dt):
+        return p + self.total(self.basis(self.of_pressures(p))), memory
+
+
+class ActingPressureOfOther(ActingPressureTerm):
+    """p_act changes by a function f of the other chamber's pressure p_other.
+
+    f is a sum of p_other, |p_other| and p_other^2.
+    """
+
+    title = "moment of each chamber that depends on the other chamber's pressure"
+    term_curve = Curve("pressure of the other chamber", "Pa", "change of the pressure", "Pa")
+    scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", WHY_SCALE)
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |p|."""
+
+    def of_pressures(self, p):
+        return other_chamber(p)
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale, PRESSURE)
+
+
+class ActingPressureOfDifference(ActingPressureTerm):
+    """p_act changes by an odd function f of the difference p - p_other."""
+
+    title = "moment of each chamber that depends on the difference between the pressures"
+    term_curve = Curve("difference p - p_other", "Pa", "change of the pressure", "Pa")
+    scale: Scalar = shape_parameter(300e3, 1e3, 4e6, "Pa", WHY_SCALE)
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |p - p_other|."""
+
+    def of_pressures(self, p):
+        return p - other_chamber(p)
+
+    def basis(self, z):
+        return odd_powers(z / self.scale, PRESSURE)

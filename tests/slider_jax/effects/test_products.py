@@ -1,0 +1,233 @@
+"""Terms of the dictionary that multiply a law by a function of another state, and of the command.
+
+The expected values are written out, so that they share no function with the terms.
+"""
+
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.actuation.waveform import SquareWave
+from slider_jax.effects import Chamber, Readings
+from slider_jax.effects.library import DICTIONARY
+
+Z = np.array([-1.0, -0.5, 0.0, 0.25, 1.0])
+"""States, in units of the scale."""
+MIXED = 0.1 * Z + 0.2 * np.abs(Z) + 0.4 * Z**2
+ODD = 0.1 * Z + 0.2 * Z * np.abs(Z) + 0.4 * Z**3
+FACTORS = {"a": 0.1, "b": 0.2, "c": 0.4}
+BODY = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
+
+
+def section(**states):
+    """A section of five cells; cells 3 and 4 are in the tail. EI is 0.04 N m^2."""
+    names = ("u_n", "u_n_t", "u_tau", "kappa", "kappa_t", "pressure", "phi", "s")
+    rest = dict.fromkeys(names, jnp.zeros(5)) | {"EI": 0.04, "in_tail": jnp.asarray(1.0 - BODY)}
+    return SimpleNamespace(**rest | {k: jnp.asarray(x) for k, x in states.items()})
+
+
+def moment(name, x, scale):
+    found, _ = DICTIONARY[name](**FACTORS, scale=scale).moment(x, jnp.zeros(5), 1e-3)
+    return np.asarray(found)
+
+
+def force(name, x, scale):
+    F_tau, F_n = DICTIONARY[name](**FACTORS, scale=scale).force(x)
+    np.testing.assert_array_equal(F_tau, 0.0)
+    return np.asarray(F_n)
+
+
+def chambers(p, p_set, states=None):
+    p, p_set = (jnp.asarray(x, float) for x in (p, p_set))
+    states = jnp.zeros((0, 2)) if states is None else jnp.asarray(states, float)
+    return Chamber(p, p_set, jnp.asarray(0.08), np.array([0.0, 1.0]), jnp.sign(p), states)
+
+
+def test_the_stiffness_depends_on_the_pressure():
+    x = section(pressure=150e3 * Z, kappa=np.full(5, 2.0))
+    found = moment("stiffness_of_pressure", x, 150e3)
+    np.testing.assert_allclose(found, 0.04 * MIXED * 2.0 * BODY)
+
+
+def test_the_moment_of_a_chamber_depends_on_the_curvature():
+    """The moment of a chamber is 0.05 N m at 200 kPa."""
+    x = section(pressure=np.full(5, 100e3), kappa=2.0 * Z)
+    found = moment("moment_of_pressure_and_curvature", x, 2.0)
+    np.testing.assert_allclose(found, 0.025 * MIXED * BODY)
+
+
+@pytest.mark.parametrize(
+    ("name", "states", "law", "cells"),
+    [
+        ("stiffness_along_robot", {"kappa": 2.0}, 0.04 * 2.0, np.ones(5)),
+        ("damping_along_robot", {"kappa_t": 20.0}, 0.04 * 0.05 * 20.0, np.ones(5)),
+        ("moment_along_body", {"pressure": 100e3}, 0.025, BODY),
+    ],
+)
+def test_a_moment_varies_along_the_robot(name, states, law, cells):
+    s = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    x = section(s=s, **{k: np.full(5, value) for k, value in states.items()})
+    waves = [np.cos(n * np.pi * s / 0.4) for n in (1, 2, 3)]
+    along = 0.1 * waves[0] + 0.2 * waves[1] + 0.4 * waves[2]
+    np.testing.assert_allclose(moment(name, x, 0.4), law * along * cells, atol=1e-12)
+
+
+def test_the_added_mass_varies_along_the_robot():
+    """The force is 10 N/m per unit of a parameter, at 10 m/s^2."""
+    s = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    x = section(s=s, u_n_t=np.full(5, 5.0))
+    waves = [np.cos(n * np.pi * s / 0.4) for n in (1, 2, 3)]
+    along = 0.1 * waves[0] + 0.2 * waves[1] + 0.4 * waves[2]
+    np.testing.assert_allclose(force("added_mass_along_robot", x, 0.4), 5.0 * along, atol=1e-12)
+
+
+def test_the_drag_differs_while_the_speed_grows_and_while_it_decreases():
+    """Both signs of the speed, growing and decreasing, and a constant speed."""
+    speed = np.array([0.5, -0.5, 0.5, -0.5, 0.5])
+    x = section(u_n=speed, u_n_t=np.array([20.0, -20.0, -20.0, 20.0, 0.0]))
+    found = force("drag_of_acceleration", x, 20.0)
+    q = 1.0 / np.sqrt(1.01)  # the sign of u_n has a smooth corner
+    size = np.sqrt(q**2 + 0.01)
+    grows = 10.0 * (0.1 * q / size + 0.2 * q + 0.4 * size)
+    shrinks = 10.0 * (-0.1 * q / size - 0.2 * q + 0.4 * size)
+    expected = np.array([grows, -grows, shrinks, -shrinks, 10.0 * 0.4 * 0.1])
+    np.testing.assert_allclose(found, expected)
+
+
+def test_forces_depend_on_the_angle_of_the_robot():
+    x = section(phi=0.5 * Z, u_n=np.full(5, -1.0), u_n_t=np.full(5, 5.0))
+    np.testing.assert_allclose(force("drag_of_angle", x, 0.5), 10.0 * MIXED * -4.0)
+    np.testing.assert_allclose(force("added_mass_of_angle", x, 0.5), 10.0 * MIXED * 0.5)
+    np.testing.assert_allclose(force("normal_force_of_angle", x, 0.5), 10.0 * ODD)
+
+
+def test_a_normal_force_depends_on_both_velocities():
+    x = section(u_tau=0.3 * Z, u_n=np.full(5, 0.25))
+    found = force("normal_force_of_axial_velocity", x, 0.3)
+    np.testing.assert_allclose(found, 10.0 * MIXED * 0.5)
+
+
+@pytest.mark.parametrize(("name", "axis"), [("water_drift_along", 0), ("water_drift_across", 1)])
+def test_the_current_drifts_along_one_axis(name, axis):
+    velocity = DICTIONARY[name](**FACTORS, scale=2.0).velocity(jnp.array([0.0, 1.0, 2.0, 5.0]))
+    half, whole = 0.05 + 0.05 + 0.05, 0.7
+    np.testing.assert_allclose(velocity[axis], 0.05 * np.array([0.0, half, whole, whole]))
+    np.testing.assert_array_equal(velocity[1 - axis], 0.0)
+
+
+def test_the_acting_pressure_depends_on_the_other_chamber():
+    """One unit of a parameter is 20 kPa. The pressures are 100 and -50 kPa."""
+    p, memory = jnp.array([100e3, -50e3]), jnp.zeros((2, 2))
+    other = DICTIONARY["acting_pressure_of_other"](**FACTORS, scale=200e3)
+    found, _ = other.act(p, memory, 1e-3)
+    change = 20e3 * np.array([-0.025 + 0.05 + 0.025, 0.05 + 0.1 + 0.1])
+    np.testing.assert_allclose(found - p, change)
+    difference = DICTIONARY["acting_pressure_of_difference"](**FACTORS, scale=300e3)
+    found, _ = difference.act(p, memory, 1e-3)
+    one = 20e3 * (0.05 + 0.05 + 0.05)
+    np.testing.assert_allclose(found - p, [one, -one])
+
+
+@pytest.mark.parametrize(("name", "acts"), [("front", [1.0, 0.0]), ("rear", [0.0, 1.0])])
+def test_the_opening_of_one_chamber_depends_on_the_difference(name, acts):
+    x, rate = chambers([60e3, -160e3], [160e3, -60e3]), jnp.zeros(2)
+    found = DICTIONARY[f"{name}_opening_of_difference"](**FACTORS, scale=200e3).rate(rate, x)
+    opening = 12.5 * np.array([0.05 + 0.1 + 0.1, -0.05 + 0.1 + 0.1])
+    np.testing.assert_allclose(found, opening * 100e3 * np.array(acts))
+
+
+def test_the_opening_of_the_rear_chamber_depends_on_its_pressure():
+    x = chambers([100e3, 100e3], [200e3, 200e3])
+    found = DICTIONARY["rear_opening"](**FACTORS, scale=200e3).rate(jnp.zeros(2), x)
+    np.testing.assert_allclose(found, [0.0, 12.5 * 100e3 * (0.05 + 0.05 + 0.05)])
+
+
+def test_the_opening_follows_the_recent_flow():
+    """After a constant flow of 1.25 MPa/s with k = 0.08 s, the recent flow is 100 kPa."""
+    filling, venting = [150e3, -100e3], [50e3, 0.0]
+    p, rate = [100e3, -50e3], jnp.array([1.25e6, -1.25e6])
+    names = "filling_opening_of_recent_flow", "venting_opening_of_recent_flow"
+    for p_set, acts in ((filling, [1.0, 0.0]), (venting, [0.0, 1.0])):
+        x = chambers(p, p_set, [[100e3, 100e3]])
+        for name, acting in zip(names, acts, strict=True):
+            term = DICTIONARY[name](**FACTORS, scale=200e3)
+            change = np.asarray(term.rate(rate, x) - rate)
+            opening = 12.5 * (0.05 + 0.05 + 0.05)
+            expected = acting * opening * (np.array(p_set) - np.array(p))
+            np.testing.assert_allclose(change, expected)
+            np.testing.assert_allclose(term.state_rates(rate, x), [[0.0, 0.0]], atol=1e-6)
+    start = DICTIONARY[names[0]]().state_rates(rate, chambers(p, filling, [[0.0, 40e3]]))
+    np.testing.assert_allclose(start, [[100e3 / 0.3, 60e3 / 0.3]])
+
+
+def test_the_set_pressure_changes_by_an_odd_or_an_even_function():
+    """One unit of a parameter is 20 kPa."""
+    wave = SquareWave(jnp.asarray(1.0), jnp.asarray(100e3))
+    for name, sign in (("set_pressure_powers", -1.0), ("set_pressure_powers_by_side", 1.0)):
+        changed = DICTIONARY[name](**FACTORS, scale=200e3).command(wave, 0)
+        x = changed.segment(jnp.asarray(0.4), jnp.asarray(0.6))
+        change = 20e3 * (0.05 + 0.05 + 0.05)
+        np.testing.assert_allclose([x.a0, x.b1], [100e3 + change, -100e3 + sign * change])
+
+
+def test_the_delay_of_the_set_pressure_drifts():
+    """One unit is 20 ms. The edge at 0.5 s is late by its own delay at the time of the edge."""
+    wave = SquareWave(jnp.asarray(1.0), jnp.asarray(100e3))
+    late = DICTIONARY["set_pressure_delay_drift"](**FACTORS, scale=2.0).command(wave, 0)
+    x = late.segment(jnp.asarray(0.45), jnp.asarray(0.6))
+    t = float(x.t_break)
+    q = t / 2.0
+    assert t == pytest.approx(0.5 + 0.02 * (0.1 * q + 0.2 * q**2 + 0.4 * q**3), abs=1e-9)
+    assert (float(x.a0), float(x.b1)) == (100e3, -100e3)
+    none = late.segment(jnp.asarray(0.6), jnp.asarray(0.7))
+    assert float(none.t_break) == 0.7 and float(none.a0) == float(none.b1) == -100e3
+
+
+SENSORS = {"pressure": 1e5, "thrust": 0.2, "recoil": 1.0, "tip": 0.02}
+
+
+def readings(scale=1.0):
+    """Readings of all sensors in a parabola of the time, in units of their scale."""
+    t = 0.01 * np.arange(101.0)
+    y = scale * t**2
+    return Readings(*map(jnp.asarray, (t, 1e5 * y, 1e5 * y, 0.2 * y, y, 0.02 * y)))
+
+
+def field(read, sensor):
+    return np.asarray(read.p_rear if sensor == "pressure" else getattr(read, sensor))
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_an_error_depends_on_the_rate_of_the_reading(sensor):
+    true, scale = readings(), SENSORS[sensor]
+    read = DICTIONARY[f"{sensor}_reading_of_rate"](**FACTORS, scale=0.2).read(true)
+    q = 0.05 * 2.0 * np.asarray(true.t) / 0.2
+    error = scale * (0.1 * q + 0.2 * q**2 + 0.4 * q**3)
+    np.testing.assert_allclose((field(read, sensor) - field(true, sensor))[1:-1], error[1:-1])
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_the_gain_of_a_sensor_oscillates(sensor):
+    true = readings()
+    term = DICTIONARY[f"{sensor}_reading_gain_sine"](a=0.3, b=-0.1, frequency=2.5)
+    angle = 2.0 * np.pi * 2.5 * np.asarray(true.t)
+    gain = 1.0 + 0.3 * np.sin(angle) - 0.1 * np.cos(angle)
+    read = term.read(true)
+    np.testing.assert_allclose(field(read, sensor), gain * field(true, sensor), atol=1e-12)
+    others = set(true._fields) - {sensor, "p_front", "p_rear"}
+    assert all(np.array_equal(getattr(read, n), getattr(true, n)) for n in others)
+
+
+PAIRS = [("thrust", "recoil"), ("recoil", "thrust"), ("tip", "pressure"), ("tip", "recoil")]
+
+
+@pytest.mark.parametrize(("sensor", "other"), [*PAIRS, ("pressure", "tip")])
+def test_an_error_depends_on_another_sensor(sensor, other):
+    true, scale = readings(), SENSORS[sensor]
+    read = DICTIONARY[f"{sensor}_reading_of_{other}"](**FACTORS, scale=2.0).read(true)
+    q = np.asarray(true.t) ** 2 / 2.0
+    error = scale * (0.1 * q + 0.2 * q + 0.4 * q**2)
+    count = 2 if other == "pressure" else 1  # both chambers have the same pressure
+    np.testing.assert_allclose(field(read, sensor) - field(true, sensor), count * error)
