@@ -33,7 +33,7 @@ class LearnedCurve(NamedTuple):
 
 
 def learned_curves(learning: Learning) -> list[LearnedCurve]:
-    """Returns a table of every learned term and part, over the states of the estimation trials.
+    """Returns a table of every learned term and part, over the states of the fitted trials.
 
     The 95 % band includes the covariance of the coefficients and the discretisation error.
     """

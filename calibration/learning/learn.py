@@ -1,7 +1,7 @@
 """Learns the function that is missing in a model if no effect of the library explains the residual.
 
-One half of the trials selects terms from the dictionary (`pursuit`). The other half estimates the
-coefficients of the selected terms. The held-out trials test the result.
+One half of the trials selects terms from the dictionary (`pursuit`). The other half confirms the
+selected terms. Both halves estimate the coefficients. The held-out trials test the result.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -166,24 +166,24 @@ class Dictionary:
 
 @dataclass(frozen=True)
 class LearnedModel:
-    """A model with a learned function, fitted to the trials that did not select the terms."""
+    """A model with a learned function, fitted to all trials that were not held out."""
 
     dictionary: Dictionary
     terms: list[str]
     fit: Fit
     problem: TankProblem
-    """The fit problem of the estimation trials."""
+    """The fit problem of the trials that were not held out."""
     stability: dict[str, Stability]
     errors: dict[str, dict[str, float]]
     """`channel_errors` without and with the function, on the trials `tested`."""
     growth: Growth
     """Growth of the error in the trials `tested`, relative to the loop's model with all effects."""
     tested: list[int]
-    """The held-out trials, or the estimation trials if no trial was held out."""
+    """The held-out trials, or all trials if no trial was held out."""
     excess: list[dict[str, Excess]]
-    """Mean squares of the whitened residual in the estimation trials and in the held-out trials."""
+    """Mean squares of the whitened residual in the fitted trials and in the held-out trials."""
     sizes: dict[str, float]
-    """rms change of each channel in the estimation trials, divided by the channel's rms."""
+    """rms change of each channel in the fitted trials, divided by the channel's rms."""
 
     @property
     def above_floor(self) -> list[str]:
@@ -200,13 +200,13 @@ class Learning:
     selection: list[int] = field(default_factory=list)
     """Trials (indices of all records) that select the terms."""
     estimation: list[int] = field(default_factory=list)
-    """Trials that estimate the coefficients."""
+    """Trials that confirm the terms. The final coefficients are estimated from both halves."""
     places: list[PlaceGain] = field(default_factory=list)
     """Result at each place: the place of the learned function, then the others, best first."""
     refused: dict[str, str] = field(default_factory=dict)
     """Places whose terms a later test refused, with the reason. The next place was tried then."""
     dropped: dict[str, Stability] = field(default_factory=dict)
-    """Selected terms that the estimation trials do not confirm."""
+    """Selected terms that other trials do not confirm."""
     model: LearnedModel | None = None
     reason: str = ""
     """The reason if no function was learned; empty if a function was learned."""
@@ -299,10 +299,24 @@ def _estimate(
 ) -> None:
     """Fits the terms of the place `best` to the other half, and sets `model` or `reason`.
 
-    `many` is the number of selected terms of all places; the p-values are corrected for it.
+    If the other half confirms every term, the terms are fitted to both halves. `many` is the number
+    of selected terms of all places; the p-values are corrected for it.
     """
-    problem, groups = known.problem.part(found.estimation), scoring_entries(known.entries)
-    terms, theta = best.groups, best.fit.theta
+    half, both = (known.problem.part(x) for x in (found.estimation, found.outcome.used_trials))
+    groups, terms, theta = scoring_entries(known.entries), best.groups, best.fit.theta
+
+    def fitted(problem: TankProblem, theta: np.ndarray, free: np.ndarray) -> Fit | None:
+        fit = fit_gauss_newton(problem, known.entries, theta, free, progress)
+        if not np.isfinite(fit.errors).all():
+            names = ", ".join(terms)
+            found.reason = f"the simulation or a derivative of the model with {names} failed"
+            return None
+        # Held-out trials judge the function, so that an incomplete fit may be used.
+        if not (fit.converged or found.outcome.held):
+            found.reason = f"the fit with {', '.join(terms)} did not converge"
+            return None
+        return fit
+
     while terms:
         progress(f"estimating {', '.join(terms)}")
         sines = [
@@ -310,31 +324,25 @@ def _estimate(
         ]
         strengths = [groups[name] for name in terms]
         free = np.concatenate([known.start.free, *strengths, np.array(sines, int)])
-        fit = fit_gauss_newton(problem, known.entries, theta, free, progress)
-        if not np.isfinite(fit.errors).all():
-            names = ", ".join(terms)
-            found.reason = f"the simulation or a derivative of the model with {names} failed"
+        places = {name: np.flatnonzero(np.isin(free, groups[name])) for name in terms}
+        fit = fitted(half, theta, free)
+        if fit is None:
             return
-        # Held-out trials judge the function, so that an incomplete fit may be used.
-        if not (fit.converged or found.outcome.held):
-            found.reason = f"the fit with {', '.join(terms)} did not converge"
-            return
-        confirmed = {
-            name: stability(
-                fit.blocks,
-                fit.theta[free],
-                np.flatnonzero(np.isin(free, groups[name])),
-                many,
-                fit.inflation,
-            )
-            for name in terms
-        }
-        weak = [name for name, x in confirmed.items() if not x.confirmed]
-        if not weak:
-            _conclude(found, known, terms, fit, confirmed, progress)
-            return
-        worst = max(weak, key=lambda name: (confirmed[name].p, confirmed[name].change))
-        progress(f"dropping {worst}: the other half of the trials does not confirm it")
+        confirmed = {n: stability(fit, x, many) for n, x in places.items()}
+        worst = max(terms, key=lambda name: confirmed[name].p)
+        if confirmed[worst].significant:
+            progress(f"fitting {', '.join(terms)} to both halves")
+            fit = fitted(both, fit.theta, free)
+            if fit is None:
+                return
+            changes = {n: stability(fit, x, many).change for n, x in places.items()}
+            confirmed = {n: x._replace(change=changes[n]) for n, x in confirmed.items()}
+            function = stability(fit, np.concatenate(list(places.values())), many)
+            if function.confirmed:
+                _conclude(found, known, both, terms, fit, confirmed, progress)
+                return
+            worst = max(terms, key=lambda name: changes[name])
+        progress(f"dropping {worst}: other trials do not confirm it")
         found.dropped[worst] = confirmed[worst]
         terms, theta = [name for name in terms if name != worst], fit.theta.copy()
         theta[groups[worst]] = 0.0
@@ -344,15 +352,17 @@ def _estimate(
 def _conclude(
     found: Learning,
     known: Dictionary,
+    problem: TankProblem,
     terms: list[str],
     fit: Fit,
     confirmed: dict[str, Stability],
     progress: Progress,
 ) -> None:
-    """Tests the fit on the held-out trials, and sets `model` or `reason`."""
-    outcome, tested = found.outcome, found.outcome.held or found.estimation
+    """Tests the fit to `problem` on the held-out trials, and sets `model` or `reason`."""
+    outcome = found.outcome
+    tested = outcome.held or outcome.used_trials
     assert isinstance(outcome.problem, TankProblem)
-    problem, own = known.problem.part(found.estimation), known.start_readings(found.estimation)
+    own = known.start_readings(outcome.used_trials)
     sizes = relative_changes(problem, own, fit.predicted)
     limits = problem.discrepancies
     if not any(x > limits[c] for c, x in sizes.items()):

@@ -57,7 +57,7 @@ class PlaceGain(NamedTuple):
 
 
 class Stability(NamedTuple):
-    """Whether a group is confirmed by the trials that did not select the group."""
+    """Whether the trials of a fit confirm a group."""
 
     p: float
     """p-value of the group's gain, corrected for the selected groups of all places."""
@@ -65,9 +65,14 @@ class Stability(NamedTuple):
     """Largest relative change of the group's function when one trial is left out."""
 
     @property
+    def significant(self) -> bool:
+        """Returns whether the group is significant."""
+        return self.p < CONFIRMATION_P
+
+    @property
     def confirmed(self) -> bool:
         """Returns whether the group is significant and stable."""
-        return self.p < CONFIRMATION_P and self.change < UNSTABLE_CHANGE
+        return self.significant and self.change < UNSTABLE_CHANGE
 
 
 def halves(frequencies: Sequence[float | None]) -> tuple[list[int], list[int]]:
@@ -153,23 +158,21 @@ def place_gains(
     return sorted(found, key=lambda x: -x.surplus)
 
 
-def stability(
-    blocks: Sequence[ChannelBlock], values: np.ndarray, group: np.ndarray, many: int, unit: float
-) -> Stability:
-    """Returns the stability of the fitted `group` in the estimation trials.
+def stability(fit: Fit, group: np.ndarray, many: int) -> Stability:
+    """Returns the stability of the `group` in the trials of a fit.
 
-    `blocks` are the normal equations of the fitted parameters at the end of the fit. `values` are
-    the fitted values minus the nulls. `group` are the indices of the group in `values`. `many` is
-    the number of selected groups of all places, and `unit` is the residual's mean square. The
-    change of the group's function is measured in the readings of the remaining trials. Only the
-    part of the change that the other parameters cannot absorb counts.
+    `group` are indices of the fitted parameters `fit.free`; the nulls of the group are zero. `many`
+    is the number of selected groups of all places. The change of the group's function is measured
+    in the readings of the remaining trials. Only the part of the change that the other parameters
+    cannot absorb counts.
     """
+    blocks = fit.blocks
     A, b = summed(blocks)
     remaining = inverse(A) @ b
     rest = np.setdiff1d(np.arange(len(A)), group)
-    metric, a = marginal_information(A, group, rest), values[group]
+    metric, a = marginal_information(A, group, rest), fit.theta[fit.free][group]
     size = float(a @ metric @ a)
-    p = min(1.0, many * float(chi2.sf(max(size, 0.0) / unit, len(group))))
+    p = min(1.0, many * float(chi2.sf(max(size, 0.0) / fit.inflation, len(group))))
     changes = []
     for trial in {x.trial for x in blocks}:
         own_A, own_b = summed([x for x in blocks if x.trial != trial])

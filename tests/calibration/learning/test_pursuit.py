@@ -88,12 +88,16 @@ def block(trial, A, b):
     return ChannelBlock(trial, "tip", np.array(A), np.array(b), 0.0, 100)
 
 
+def fit_of(blocks, values):
+    return Fit(np.array(values), np.arange(len(values)), 0.0, 300, blocks, [], True)
+
+
 @pytest.mark.parametrize(("pull", "confirmed"), [(1.0, True), (30.0, False)])
 def test_a_group_that_one_trial_determines_is_not_confirmed(pull, confirmed):
     """The first trial pulls the coefficient by `pull`/300, and the other trials pull it back."""
     A = [[100.0, 0.0], [0.0, 150.0]]
     blocks = [block(0, A, [0.0, pull])] + [block(i, A, [0.0, -0.5 * pull]) for i in (1, 2)]
-    x = stability(blocks, np.array([1.0, 0.15]), np.array([1]), 1, 1.0)
+    x = stability(fit_of(blocks, [1.0, 0.15]), np.array([1]), 1)
     assert x.change == pytest.approx(pull / 300.0 / 0.15)
     assert x.confirmed == confirmed and x.p < 0.01
 
@@ -101,7 +105,7 @@ def test_a_group_that_one_trial_determines_is_not_confirmed(pull, confirmed):
 def test_a_group_without_a_significant_gain_is_not_confirmed():
     assert not Stability(0.02, 0.0).confirmed
     blocks = [block(i, [[1.0, 0.0], [0.0, 1.0]], [0.0, 0.0]) for i in range(3)]
-    assert stability(blocks, np.array([1.0, 1.0]), np.array([1]), 1, 1.0).p > 0.05
+    assert stability(fit_of(blocks, [1.0, 1.0]), np.array([1]), 1).p > 0.05
 
 
 def test_the_fit_without_a_group_is_the_start():
