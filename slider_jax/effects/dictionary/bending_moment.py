@@ -247,6 +247,26 @@ class DampingOfTail(DampingTerm):
         return self.dampings(z)
 
 
+class DampingOfBentBody(DampingTerm):
+    """The damping of the body is an even function of its curvature."""
+
+    title = "damping of the body that depends on the size of the curvature"
+    segments = ("body",)
+
+    def basis(self, z):
+        return even_powers(z / self.scale, CURVATURE / RATE)
+
+
+class DampingOfBentTail(DampingTerm):
+    """The damping of the tail is an even function of its curvature."""
+
+    title = "damping of the tail that depends on the size of the curvature"
+    segments, part = ("tail",), "tail"
+
+    def basis(self, z):
+        return even_powers(z / self.scale, CURVATURE / RATE)
+
+
 class ChamberTerm(PartPowers, BendingMoment):
     """A moment that depends on a function of the pressure of the chamber."""
 

@@ -30,7 +30,7 @@ def test_terms_vanish_at_their_nulls_and_have_finite_tangents(name):
 
 
 def test_the_dictionary_is_no_part_of_the_library():
-    assert len(FILES) == 7 and len(DICTIONARY) == 110
+    assert len(FILES) == 7 and len(DICTIONARY) == 112
     assert not set(DICTIONARY) & (set(LIBRARY) | set(candidate_effects()))
 
 
@@ -88,7 +88,7 @@ def test_powers_are_constant_beyond_the_largest_visited_state():
         for kind in DICTIONARY.values()
         if issubclass(kind, Powers) and "scale" in kind.shapes()
     ]
-    assert len(scaled) == 73
+    assert len(scaled) == 75
     for term in scaled:
         ends = np.asarray(term.basis(term.scale * jnp.array([-3.0, -1.0, 1.0, 3.0])))
         np.testing.assert_allclose(ends[:, [0, 3]], ends[:, [1, 2]])
@@ -312,6 +312,8 @@ def test_damping_terms_have_the_stated_signs():
     assert signs("damping_of_body", a=1.0) == [1, -1, -1, 1]
     assert signs("damping_of_body", c=1.0) == [1, -1, 1, -1]
     assert signs("damping_of_tail", a=1.0) == [0, 0, 0, 0]
+    assert signs("damping_of_bent_body", b=1.0) == [1, -1, 1, -1]
+    assert signs("damping_of_bent_tail", b=1.0) == [0, 0, 0, 0]
 
 
 def test_the_simulation_of_a_model_file_contains_its_terms(tmp_path):
