@@ -16,7 +16,7 @@ from calibration.discrepancy.rounds import Growth, relative_changes, scoring_ent
 from calibration.discrepancy.verdict import PARTLY, UNEXPLAINED, channels_above_floor
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, channel_errors, tested_excess
-from calibration.inference.problem import Swing, TankProblem, total
+from calibration.inference.problem import FAILED, Swing, TankProblem, total
 from calibration.inference.uncertainty import widen_by_correlation
 from calibration.learning.frequencies import SinePeak, best_peak, sine_peaks
 from calibration.learning.pursuit import (
@@ -306,8 +306,14 @@ def _estimate(
     groups, terms, theta = scoring_entries(known.entries), best.groups, best.fit.theta
 
     def fitted(problem: TankProblem, theta: np.ndarray, free: np.ndarray) -> Fit | None:
-        fit = fit_gauss_newton(problem, known.entries, theta, free, progress)
-        if not np.isfinite(fit.errors).all():
+        start = theta.copy()
+        for _ in range(1 + found.outcome.search.settings.max_halvings):
+            fit = fit_gauss_newton(problem, known.entries, start, free, progress)
+            if fit.square < FAILED and np.isfinite(fit.errors).all():
+                break
+            for name in terms:  # a function from other trials can be too large for these trials
+                start[groups[name]] *= 0.5
+        else:
             names = ", ".join(terms)
             found.reason = f"the simulation or a derivative of the model with {names} failed"
             return None
@@ -329,7 +335,7 @@ def _estimate(
         if fit is None:
             return
         confirmed = {n: stability(fit, x, many) for n, x in places.items()}
-        worst = max(terms, key=lambda name: confirmed[name].p)
+        worst = max(reversed(terms), key=lambda name: confirmed[name].p)
         if confirmed[worst].significant:
             progress(f"fitting {', '.join(terms)} to both halves")
             fit = fitted(both, fit.theta, free)
