@@ -12,8 +12,9 @@ from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import (
     SHARES,
     Bounds,
+    BroydenCorrection,
     Fit,
-    broyden_update,
+    broyden_correction,
     fit_gauss_newton,
     inverse,
     linear_optimum,
@@ -153,7 +154,7 @@ class Estimate:
     ):
         self.refits, self.current, self.start, self.judge = refits, current, start, judge
         self.proposed = start.theta
-        self.tangents, self.J = tangents, start.J
+        self.tangents, self.corrections = tangents, list[BroydenCorrection]()
         self.bounds = Bounds.of([refits.entries[i] for i in start.free])
         self.best = Fit(start.theta, np.asarray(start.free), FAILED, 0, [], [], False)
         self.residuals: dict[tuple[int, str], np.ndarray] = {}
@@ -177,7 +178,8 @@ class Estimate:
         if best.square < FAILED:
             change = {key: r - residuals[key] for key, r in self.residuals.items()}
             step = (self.proposed - best.theta)[best.free]
-            self.J = broyden_update(self._derivatives(), change, step, summed(best.blocks)[0])
+            A, _ = summed(best.blocks)
+            self.corrections.append(broyden_correction(self._derivatives(), change, step, A))
         self.residuals, blocks = residuals, normal_equations(residuals, self._derivatives())
         A, b = summed(blocks)
         theta, free = self.proposed, best.free
@@ -195,8 +197,11 @@ class Estimate:
         self._propose()
 
     def _derivatives(self) -> Tangents:
-        """Returns the present derivatives. Before the first correction, they are not stored."""
-        return self.J or {key: x[self.start.free] for key, x in self.tangents.items()}
+        """Returns the present derivatives. Only their corrections are stored, to save memory."""
+        J = self.start.J or {key: x[self.start.free] for key, x in self.tangents.items()}
+        for x in self.corrections:
+            J = x.of(J)
+        return J
 
     def _propose(self) -> None:
         self.proposed = self.best.theta.copy()
@@ -418,7 +423,7 @@ class Refits:
                 x.done |= x.steps > 1 and current.square - x.expected < least
             for x in active:
                 if x.done:  # frees the memory for the other fits
-                    x.J, x.residuals = {}, {}
+                    x.corrections, x.residuals = [], {}
         return [x.best for x in fits]
 
     def without(self, current: Fit, name: str) -> Fit | None:

@@ -299,12 +299,35 @@ def broyden_update(
     The parameters are scaled by the diagonal of the normal matrix `A`. The result has the precision
     of `J`.
     """
+    return broyden_correction(J, change, step, A).of(J)
+
+
+class BroydenCorrection(NamedTuple):
+    """A correction of derivatives J (k, n) by the outer product of two vectors."""
+
+    weight: np.ndarray
+    """Vector (k,)."""
+    error: dict[tuple[int, str], np.ndarray]
+    """Vector (n,) of each trial and channel."""
+
+    def of(self, J: dict[tuple[int, str], np.ndarray]) -> dict[tuple[int, str], np.ndarray]:
+        """Returns the corrected derivatives, with the precision of `J`."""
+        return {
+            key: (x + np.outer(self.weight, self.error[key])).astype(x.dtype, copy=False)
+            for key, x in J.items()
+        }
+
+
+def broyden_correction(
+    J: dict[tuple[int, str], np.ndarray],
+    change: dict[tuple[int, str], np.ndarray],
+    step: np.ndarray,
+    A: np.ndarray,
+) -> BroydenCorrection:
+    """Returns the correction of `broyden_update`."""
     scale = np.maximum(np.diag(A), 1e-300)
     weight = scale * step / (step @ (scale * step))
-    return {
-        key: (x + np.outer(weight, change[key] - step @ x)).astype(x.dtype, copy=False)
-        for key, x in J.items()
-    }
+    return BroydenCorrection(weight, {key: change[key] - step @ x for key, x in J.items()})
 
 
 @jax.jit
