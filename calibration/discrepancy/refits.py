@@ -26,6 +26,10 @@ from calibration.inference.problem import FAILED, AbstractProblem, normal_equati
 from calibration.model.extended import Parameter
 from slider_jax.channels import row_of
 
+MOST_KEPT = 2**29
+"""Largest size of the tangents that are kept for other whiteners [bytes]. A cache on the disk
+contains larger tangents. With 150 parameters, six minutes of samples at 500 Hz have this size."""
+
 
 def effect_tangents(
     problem: AbstractProblem,
@@ -101,9 +105,26 @@ Tangents = dict[tuple[int, str], np.ndarray]
 class ScoringTangents(NamedTuple):
     """Tangents from which a round scores its candidates."""
 
-    raw: list[np.ndarray]
-    """Tangents (parameters, channels, samples) of each trial."""
+    at: Fit
+    """The fit at which the tangents were computed."""
+    raw: list[np.ndarray] | None
+    """Tangents (parameters, channels, samples) of each trial, or None if they are too large."""
     white: Tangents
+
+    def whitened_again(self, refits: "Refits") -> "ScoringTangents":
+        """Returns the tangents with other whiteners. Large tangents are computed again."""
+        raw = self.raw
+        if raw is None:
+            raw = effect_tangents(
+                refits.problem, refits.entries, self.at.theta, self.at.free, refits.settings
+            )
+        kept = raw if self.raw is not None else None
+        return ScoringTangents(self.at, kept, refits.problem.whitened(raw, refits.white))
+
+
+def kept_tangents(raw: list[np.ndarray]) -> list[np.ndarray] | None:
+    """Returns the tangents `raw`, or None if they are larger than `MOST_KEPT`."""
+    return raw if sum(x.nbytes for x in raw) <= MOST_KEPT else None
 
 
 class FitStart(NamedTuple):

@@ -39,6 +39,7 @@ from calibration.discrepancy.refits import (
     Tangents,
     effect_tangents,
     initial_theta,
+    kept_tangents,
 )
 from calibration.discrepancy.rounds import (
     Refit,
@@ -164,8 +165,7 @@ def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
         before, refits = refits, _with_measured_discrepancies(refits, found)
         if refits is not before:
             assert tangents is not None
-            white = refits.problem.whitened(tangents.raw, refits.white)
-            tangents = ScoringTangents(tangents.raw, white)
+            tangents = tangents.whitened_again(refits)
         _remove_unnecessary(refits, found, round_)
     refits = _widen(refits, found)
     _fix_shapes(refits, found)
@@ -233,8 +233,11 @@ def _round(
     scores, blocks = _scores(refits, current, rest, J)
     round_, candidates, starts = SelectionStep(scores), [], []
     for s in _short_list(scores, refits, scored):
-        pairs, moved = zip(current.predicted, tangents, strict=True), np.flatnonzero(s.step)
-        changed = [y + np.tensordot(s.step[moved], x[moved], 1) for y, x in pairs]
+        moved = np.flatnonzero(s.step)
+        changed = [
+            y + np.tensordot(s.step[moved], x[moved], 1)
+            for y, x in zip(current.predicted, tangents, strict=True)
+        ]
         changes = relative_changes(problem, current.predicted, changed).items()
         limits = refits.discrepancies(changed)
         if any(x > settings.naming_share * limits[c] for c, x in changes):
@@ -243,6 +246,8 @@ def _round(
             free = np.concatenate([current.free, group])
             candidates.append(s)
             starts.append(FitStart(theta, free, current.theta))
+    raw = kept_tangents(tangents)
+    del tangents  # frees the memory of large tangents before the refits
     if candidates:
         progress(f"refitting with each of: {', '.join(s.name for s in candidates)}")
     for s, fit in zip(candidates, refits.raced(current, starts, J), strict=True):
@@ -267,7 +272,7 @@ def _round(
     if best:
         round_.chosen = best.name
         round_.equivalent = equivalent_effects(best, round_, scored, current, blocks, settings)
-    return round_, ScoringTangents(tangents, J)
+    return round_, ScoringTangents(current, raw, J)
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:

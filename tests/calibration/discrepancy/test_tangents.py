@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from calibration.discrepancy.refits import effect_tangents
+from calibration.discrepancy.refits import Refits, ScoringTangents, effect_tangents, kept_tangents
+from calibration.inference.gauss_newton import Fit
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
 from tests.support.sums import Sums
@@ -28,3 +29,19 @@ def test_cached_tangents_are_not_changed():
     first, again = (effect_tangents(problem, ENTRIES, np.zeros(5), np.array([0])) for _ in range(2))
     np.testing.assert_array_equal(first, again)
     np.testing.assert_allclose(first[0][:, 4], problem.size * problem.shapes[:, 0], rtol=1e-6)
+
+
+def test_large_tangents_are_computed_again_for_other_whiteners(monkeypatch):
+    """The result is the same as with kept tangents."""
+    problem, theta = Sums(np.ones(5)), np.zeros(5)
+    current = Fit(theta, np.array([0]), 1.0, 9, [], problem.predict(theta), True)
+    raw = effect_tangents(problem, ENTRIES, theta, current.free)
+    white = problem.whiteners(current.predicted)
+    refits = Refits(problem, ENTRIES, white, print)
+    kept = ScoringTangents(current, kept_tangents(raw), {}).whitened_again(refits)
+    monkeypatch.setattr("calibration.discrepancy.refits.MOST_KEPT", 0)
+    again = ScoringTangents(current, kept_tangents(raw), {}).whitened_again(refits)
+    assert kept.raw is raw and again.raw is None and again.white.keys() == kept.white.keys() != {}
+    for key, x in kept.white.items():
+        assert x.any()
+        np.testing.assert_array_equal(again.white[key], x)
