@@ -97,6 +97,8 @@ def loop_page(
         left_out_p=settings.left_out_p,
         wilcoxon_p=settings.wilcoxon_p,
         least_held_gain=settings.least_held_gain,
+        least_rest_gain=settings.least_rest_gain,
+        most_loss_share=settings.most_loss_share,
         refits=_refits(record["candidates"]),
         alternatives=_alternatives(record["effects"]),
         consequence=_consequence(record["consequence"]) if "consequence" in record else [],
@@ -175,6 +177,8 @@ def _refits(candidates: list[dict[str, Any]]) -> list[list[str]]:
             f"{x['left_out_trials_t_chance']:.2g}", f"{x['left_out_trials_chance']:.2g}",
             "" if x["left_out_trials_least_gain"] is None
             else f"{x['left_out_trials_least_gain']:.3g}",
+            "" if x["left_out_trials_rest_gain"] is None
+            else f"{x['left_out_trials_rest_gain']:.3g}",
             "chosen" if x["chosen"] else "",
         ]
         for x in sorted(rows, key=lambda x: (x["round"], -x["explained"]))

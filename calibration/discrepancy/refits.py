@@ -118,8 +118,7 @@ class ScoringTangents(NamedTuple):
             raw = effect_tangents(
                 refits.problem, refits.entries, self.at.theta, self.at.free, refits.settings
             )
-        kept = raw if self.raw is not None else None
-        return ScoringTangents(self.at, kept, refits.problem.whitened(raw, refits.white))
+        return ScoringTangents(self.at, self.raw, refits.problem.whitened(raw, refits.white))
 
 
 def kept_tangents(raw: list[np.ndarray]) -> list[np.ndarray] | None:
@@ -196,12 +195,14 @@ class Estimate:
             else:
                 self.proposed = 0.5 * (self.proposed + self.start.null)
             return
+        J = self._derivatives()
         if best.square < FAILED:
             change = {key: r - residuals[key] for key, r in self.residuals.items()}
             step = (self.proposed - best.theta)[best.free]
-            A, _ = summed(best.blocks)
-            self.corrections.append(broyden_correction(self._derivatives(), change, step, A))
-        self.residuals, blocks = residuals, normal_equations(residuals, self._derivatives())
+            x = broyden_correction(J, change, step, summed(best.blocks)[0])
+            self.corrections.append(x)
+            J = x.of(J)
+        self.residuals, blocks = residuals, normal_equations(residuals, J)
         A, b = summed(blocks)
         theta, free = self.proposed, best.free
         self.step = linear_optimum(A, b, theta[free], self.bounds) - theta[free]

@@ -83,7 +83,8 @@ def sine_peaks(part: TankProblem, fit: Fit, noise_floor: float) -> dict[tuple[st
 
     `fit` is a fit to the trials of `part`. If no trial has a significant sine, the result is the
     sine that explains most of all trials together. The result for (sensor, False) is a sine. The
-    result for (sensor, True) is a sine that multiplies the predicted readings.
+    result for (sensor, True) is a sine that multiplies the predicted readings. Its frequency is one
+    of the frequencies of `common_sine`, so the sine is slow.
     """
     found = dict[tuple[str, bool], SinePeak]()
     left, white = tested_excess(part, fit), part.whiteners(fit.predicted)

@@ -35,7 +35,7 @@ from slider_jax.effects.library import DICTIONARY
 
 Progress = Callable[[str], None]
 
-NOT_CONFIRMED = "the other half of the trials does not confirm the selected terms"
+NOT_CONFIRMED = "other trials do not confirm the selected terms"
 VETOED = "the selected terms increase the error in the held-out trials"
 CONTRADICTIONS = (NOT_CONFIRMED, VETOED)
 """Reasons for which other trials contradict the terms of a place."""
@@ -174,6 +174,7 @@ class LearnedModel:
     problem: TankProblem
     """The fit problem of the trials that were not held out."""
     stability: dict[str, Stability]
+    """p-value of each term in the estimation trials, and its change in the fit to both halves."""
     errors: dict[str, dict[str, float]]
     """`channel_errors` without and with the function, on the trials `tested`."""
     growth: Growth
@@ -299,8 +300,10 @@ def _estimate(
 ) -> None:
     """Fits the terms of the place `best` to the other half, and sets `model` or `reason`.
 
-    If the other half confirms every term, the terms are fitted to both halves. `many` is the number
-    of selected terms of all places; the p-values are corrected for it.
+    A term that the other half does not confirm is dropped. If the other half confirms every term,
+    the terms are fitted to both halves. If the function then depends on a single trial, the term
+    that changes most is dropped, and the search begins again. `many` is the number of selected
+    terms of all places; the p-values are corrected for it.
     """
     half, both = (known.problem.part(x) for x in (found.estimation, found.outcome.used_trials))
     groups, terms, theta = scoring_entries(known.entries), best.groups, best.fit.theta

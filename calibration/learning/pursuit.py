@@ -57,7 +57,7 @@ class PlaceGain(NamedTuple):
 
 
 class Stability(NamedTuple):
-    """Whether the trials of a fit confirm a group."""
+    """Significance and stability of a group."""
 
     p: float
     """p-value of the group's gain, corrected for the selected groups of all places."""

@@ -11,13 +11,13 @@ from slider_jax.effects.base import Chamber, Command, Curve, shape_parameter
 from slider_jax.effects.dictionary.flow import WHY_SCALE
 from slider_jax.effects.functions import Basis, CubicDrift, Powers, even_powers, odd_powers
 
-DELAY = 0.02
-"""Delay [s] that one unit of a delay's parameters causes: four cycles of a control loop at 200 Hz.
-"""
+DELAY = 2e-3
+"""Delay [s] that one unit of a delay's parameters causes. The largest parameters add 40 ms."""
 PRESSURE = 20e3
 """Pressure [Pa] that one unit of a term's parameters adds: a tenth of a typical pressure."""
-NEWTON_STEPS = 3
-"""Steps of Newton's method for the time of an edge. The delay changes slowly."""
+ITERATIONS = 3
+"""Fixed-point iterations for the time of an edge. Each multiplies the error by the rate of the
+delay, which is about 0.01."""
 
 
 class Drifting(Waveform):
@@ -32,10 +32,11 @@ class Drifting(Waveform):
     def segment(self, t0, t1):
         x = self.wave.segment(t0 - self._delay(t0), t1 - self._delay(t1))
         t = x.t_break
-        for _ in range(NEWTON_STEPS):  # the time t at which t - d(t) is x.t_break
+        for _ in range(ITERATIONS):  # the time t at which t - d(t) is x.t_break
             t = x.t_break + self._delay(t)
-        # Rounding must not move the break of a segment without an edge to before its end.
-        t = jnp.where(x.t_break >= x.t1, t1, jnp.clip(t, t0, t1))
+        # Rounding must not move the break of a segment without an edge to before its end. The edge
+        # at the start of a step is not limited to t0, because a limit would halve its derivative.
+        t = jnp.where(x.t_break >= x.t1, t1, jnp.minimum(t, t1))
         return Segment(t0, t, t1, x.a0, x.a1, x.b0, x.b1)
 
 
@@ -43,7 +44,7 @@ class SetPressureDelayDrift(CubicDrift, Command):
     """p_set,valve(t) = p_set(t - d(t)), with a delay d that is a function of the time t."""
 
     title = "delay of the set pressure that drifts during a trial"
-    term_curve = Curve("time t", "s", "delay divided by 0.02 s", "-")
+    term_curve = Curve("time t", "s", "delay divided by 2 ms", "-")
 
     def command(self, wave, chamber):
         return Drifting(wave, self)

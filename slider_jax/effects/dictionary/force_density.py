@@ -178,8 +178,8 @@ class AddedMassAlongRobot(ForceAlongTerm):
 class DragOfAcceleration(PartPowers, ForceTerm):
     """F_n = f(w) u_n |u_n| with w = sign(u_n) du_n/dt, which is positive while |u_n| grows.
 
-    f is a sum of a smooth sign of w, w and |w|. u_n is in units of `SPEED`. The corner of the sign
-    of u_n is smooth.
+    f is a sum of a smooth sign of w, w, and |w| with a smooth corner. u_n is in units of `SPEED`.
+    The corner of the sign of u_n is smooth.
     """
 
     title = "drag that depends on the acceleration"

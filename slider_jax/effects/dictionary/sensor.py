@@ -189,7 +189,8 @@ class SensorOfRate(SensorPowers):
         return self._rate(self.sensor().of(x), x.t)
 
     def _rate(self, z: Array, t: Array) -> Array:
-        return RATE_TIME * jnp.asarray(jnp.gradient(z, axis=-1)) / (t[1] - t[0])
+        # The first interval can differ from the others.
+        return RATE_TIME * jnp.asarray(jnp.gradient(z, axis=-1)) / jnp.asarray(jnp.gradient(t))
 
     def basis(self, z):
         return odd_powers(z / self.scale)

@@ -5,6 +5,7 @@ The expected values are written out, so that they share no function with the ter
 
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -173,16 +174,29 @@ def test_the_set_pressure_changes_by_an_odd_or_an_even_function():
 
 
 def test_the_delay_of_the_set_pressure_drifts():
-    """One unit is 20 ms. The edge at 0.5 s is late by its own delay at the time of the edge."""
+    """One unit is 2 ms. The edge at 0.5 s is late by its own delay at the time of the edge."""
     wave = SquareWave(jnp.asarray(1.0), jnp.asarray(100e3))
     late = DICTIONARY["set_pressure_delay_drift"](**FACTORS, scale=2.0).command(wave, 0)
     x = late.segment(jnp.asarray(0.45), jnp.asarray(0.6))
     t = float(x.t_break)
     q = t / 2.0
-    assert t == pytest.approx(0.5 + 0.02 * (0.1 * q + 0.2 * q**2 + 0.4 * q**3), abs=1e-9)
+    assert t == pytest.approx(0.5 + 0.002 * (0.1 * q + 0.2 * q**2 + 0.4 * q**3), abs=1e-12)
     assert (float(x.a0), float(x.b1)) == (100e3, -100e3)
     none = late.segment(jnp.asarray(0.6), jnp.asarray(0.7))
     assert float(none.t_break) == 0.7 and float(none.a0) == float(none.b1) == -100e3
+
+
+@pytest.mark.parametrize("edge", [0.1, 0.3, 0.7, 1.1, 1.5])
+def test_an_edge_at_the_start_of_a_step_has_the_whole_derivative_by_a_delay(edge):
+    """At the null, the derivative of the edge by a is 2 ms times t/scale."""
+    wave, h = SquareWave(jnp.asarray(5.0), jnp.asarray(100e3)), 1e-3
+
+    def t_break(a, t0):
+        late = DICTIONARY["set_pressure_delay_drift"](a=a, scale=2.0).command(wave, 0)
+        return late.segment(t0, t0 + h).t_break
+
+    found = jax.grad(t_break)(0.0, h * round(edge / h))
+    assert float(found) == pytest.approx(2e-3 * edge / 2.0, rel=1e-9)
 
 
 SENSORS = {"pressure": 1e5, "thrust": 0.2, "recoil": 1.0, "tip": 0.02}
@@ -206,6 +220,15 @@ def test_an_error_depends_on_the_rate_of_the_reading(sensor):
     q = 0.05 * 2.0 * np.asarray(true.t) / 0.2
     error = scale * (0.1 * q + 0.2 * q**2 + 0.4 * q**3)
     np.testing.assert_allclose((field(read, sensor) - field(true, sensor))[1:-1], error[1:-1])
+
+
+def test_a_rate_does_not_depend_on_the_first_interval():
+    """The first reading is at 0, and the others are late by 0.5 ms."""
+    t = np.array([0.0, *(0.0005 + 0.01 * np.arange(50))])
+    y = jnp.asarray(3e5 * t)
+    true = Readings(jnp.asarray(t), *(5 * [y]))
+    rate = DICTIONARY["pressure_reading_of_rate"]().state(true)
+    np.testing.assert_allclose(rate, 0.05 * 3.0)
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
