@@ -152,6 +152,16 @@ def mixed_powers(z: Array, factor: float | Scalar = 1.0) -> Basis:
     return factor * z, factor * jnp.abs(z), factor * z**2
 
 
+def odd_corners(z: Array, factor: float | Scalar = 1.0) -> Basis:
+    """Returns sign(z) max(|z| - k, 0) with k = 1/4, 1/2 and 3/4, times `factor`.
+
+    Each function is zero below its corner k and linear above it. Beyond -1 and 1, it is constant.
+    """
+    z = jnp.clip(z, -1.0, 1.0)
+    first, second, third = (factor * (z - jnp.clip(z, -k, k)) for k in (0.25, 0.5, 0.75))
+    return first, second, third
+
+
 def waves(z: Array, factor: float = 1.0) -> Basis:
     """Returns cos(pi z), cos(2 pi z) and cos(3 pi z), times `factor`, for z limited to 0 to 1."""
     z = jnp.pi * jnp.clip(z, 0.0, 1.0)

@@ -16,6 +16,7 @@ from slider_jax.effects.functions import (
     even_powers,
     magnitude,
     mixed_powers,
+    odd_corners,
     odd_powers,
     rises,
     signed_root,
@@ -127,6 +128,26 @@ class MomentOfTail(MomentOfCurvatureTerm):
 
     def basis(self, z):
         return odd_powers(z / self.scale, self.scale)
+
+
+class MomentOfBodyWithCorners(MomentOfCurvatureTerm):
+    """M/EI is an odd function of the curvature kappa in the body that has corners."""
+
+    title = "moment of the body that depends on the curvature, with corners"
+    segments = ("body",)
+
+    def basis(self, z):
+        return odd_corners(z / self.scale, self.scale)
+
+
+class MomentOfTailWithCorners(MomentOfCurvatureTerm):
+    """M/EI is an odd function of the curvature kappa in the tail that has corners."""
+
+    title = "moment of the tail that depends on the curvature, with corners"
+    segments, part = ("tail",), "tail"
+
+    def basis(self, z):
+        return odd_corners(z / self.scale, self.scale)
 
 
 class MomentOfBodyBySide(MomentOfCurvatureTerm):
@@ -307,6 +328,15 @@ class MomentOfPressure(PressureMomentTerm):
         # The parameter K_Q describes a moment that is linear in z, so z^5 replaces z.
         q = jnp.clip(z / self.scale, -1.0, 1.0)
         return MOMENT * q * jnp.abs(q), MOMENT * q**3, MOMENT * q**5
+
+
+class MomentOfPressureWithCorners(PressureMomentTerm):
+    """M is an odd function of the pressure that has corners."""
+
+    title = "bending moment that depends on the pressure, with corners"
+
+    def basis(self, z):
+        return odd_corners(z / self.scale, MOMENT)
 
 
 class MomentOfPressureBySide(PressureMomentTerm):

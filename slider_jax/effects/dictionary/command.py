@@ -9,7 +9,14 @@ from slider_jax.actuation.waveform import Segment, Shaped, Waveform
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Command, Curve, shape_parameter
 from slider_jax.effects.dictionary.flow import WHY_SCALE
-from slider_jax.effects.functions import Basis, CubicDrift, Powers, even_powers, odd_powers
+from slider_jax.effects.functions import (
+    Basis,
+    CubicDrift,
+    Powers,
+    even_powers,
+    odd_corners,
+    odd_powers,
+)
 
 DELAY = 2e-3
 """Delay [s] that one unit of a delay's parameters causes. The largest parameters add 40 ms."""
@@ -90,3 +97,12 @@ class SetPressurePowersBySide(SetPressureTerm):
 
     def basis(self, z):
         return even_powers(z / self.scale, PRESSURE)
+
+
+class SetPressureWithCorners(SetPressureTerm):
+    """The set pressure changes by an odd function of the commanded set pressure with corners."""
+
+    title = "error of the set pressure, with corners"
+
+    def basis(self, z):
+        return odd_corners(z / self.scale, PRESSURE)

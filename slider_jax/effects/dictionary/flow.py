@@ -6,23 +6,26 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Chamber, Curve, Flow, shape_parameter
+from slider_jax.effects.base import Chamber, Curve, Flow, Readings, shape_parameter
 from slider_jax.effects.functions import (
     Basis,
     Powers,
     even_powers,
     mixed_powers,
+    odd_corners,
     odd_powers,
     signed_root,
 )
 
 CORNER = 0.02
 """Width of the smooth corner of the square root, as a fraction of the largest difference."""
-RATE, OPENING = 3e6, 12.5
-"""dp/dt [Pa/s] at a difference of 250 kPa, and 1/k [1/s], both at k = 0.08 s. The parameters of a
-term are factors of one of these two."""
+DIFFERENCE, RATE, OPENING = 250e3, 3e6, 12.5
+"""A typical difference p_set - p [Pa], and with k = 0.08 s, its dp/dt [Pa/s] and 1/k [1/s]. The
+parameters of a term are factors of one of the last two."""
 MEMORY_TIME = 0.3
 """Time constant [s] of the recent flow: a stride at 3 Hz."""
+ERROR_TIMES = (0.03, 0.3, 3.0)
+"""Time constants [s] of the past difference p_set - p: from a fast valve to a whole trial."""
 WHY_SCALE = "the pressures of a soft robot"
 
 
@@ -81,6 +84,15 @@ class FlowOfPressureBySide(PressureTerm):
         return even_powers(z / self.scale, RATE)
 
 
+class FlowOfPressureWithCorners(PressureTerm):
+    """dp/dt changes by an odd function f of the pressure p that has corners."""
+
+    title = "flow that depends on the pressure, with corners"
+
+    def basis(self, z):
+        return odd_corners(z / self.scale, RATE)
+
+
 class DifferenceTerm(FlowTerm):
     """A term whose function depends on the difference p_set - p."""
 
@@ -103,6 +115,79 @@ class FlowOfDifference(DifferenceTerm):
         e = jnp.clip(z / self.scale, -1.0, 1.0)
         _, quadratic, cubic = odd_powers(e, RATE)
         return RATE * signed_root(e, CORNER), quadratic, cubic
+
+
+class FlowOfDifferenceBySide(DifferenceTerm):
+    """dp/dt changes by an even function f of the difference p_set - p, so the sides differ."""
+
+    title = "flow that depends on the pressure difference and differs between the sides"
+    term_curve = Curve("difference p_set - p", "Pa", "change of dp/dt", "Pa/s")
+
+    def state(self, x):
+        return x.p_set - x.p
+
+    def basis(self, z):
+        return even_powers(z / self.scale, RATE)
+
+
+class FlowOfOtherDifference(DifferenceTerm):
+    """dp/dt changes by a function f of the other chamber's difference p_set - p.
+
+    f is a sum of the difference, its absolute value and its square.
+    """
+
+    title = "flow that depends on the pressure difference of the other chamber"
+    term_curve = Curve("difference p_set - p of the other chamber", "Pa", "change of dp/dt", "Pa/s")
+
+    def state(self, x):
+        return other_chamber(x.p_set - x.p)
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale, RATE)
+
+
+class FlowOfDifferenceWithCorners(DifferenceTerm):
+    """dp/dt changes by an odd function f of the difference p_set - p that has corners."""
+
+    title = "flow that depends on the pressure difference, with corners"
+    term_curve = Curve("difference p_set - p", "Pa", "change of dp/dt", "Pa/s")
+
+    def state(self, x):
+        return x.p_set - x.p
+
+    def basis(self, z):
+        return odd_corners(z / self.scale, RATE)
+
+
+class FlowOfPastDifference(Powers, Flow):
+    """dp/dt changes by a sum of three lagged differences z, with the time constants `ERROR_TIMES`.
+
+        tau dz/dt = p_set - p - z,    z(0) = 0
+
+    One unit of a parameter changes dp/dt by 3 MPa/s at z = 250 kPa. The sum describes a regulator
+    with an integral part, and a valve that opens late.
+    """
+
+    title = "flow that depends on the past pressure difference"
+    states = 3
+    term_curve = Curve("time t after a step of 250 kPa", "s", "change of dp/dt", "Pa/s")
+
+    def state(self, x: Readings) -> Array:
+        """Returns the time [s]."""
+        return x.t
+
+    def basis(self, z: Array) -> Basis:
+        """Returns the three changes of dp/dt at the time z after a step of 250 kPa."""
+        first, second, third = (RATE * (1.0 - jnp.exp(-z / tau)) for tau in ERROR_TIMES)
+        return first, second, third
+
+    def rate(self, rate, x):
+        first, second, third = (RATE / DIFFERENCE * z for z in x.states)
+        return rate + self.total((first, second, third))
+
+    def state_rates(self, rate, x):
+        e = x.p_set - x.p
+        return jnp.stack([(e - z) / tau for z, tau in zip(x.states, ERROR_TIMES, strict=True)])
 
 
 class FlowBetweenChambers(FlowTerm):

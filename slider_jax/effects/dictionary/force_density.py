@@ -16,6 +16,7 @@ from slider_jax.effects.functions import (
     even_powers,
     magnitude,
     mixed_powers,
+    odd_corners,
     odd_powers,
     rises,
     waves,
@@ -108,6 +109,16 @@ class NormalForceOnTail(VelocityTerm):
 
     def basis(self, z):
         return odd_powers(z / self.scale, FORCE)
+
+
+class NormalForceWithCorners(VelocityTerm):
+    """F_n is an odd function of the lateral velocity u_n on the robot that has corners."""
+
+    title = "normal force that depends on the lateral velocity, with corners"
+    part = "robot"
+
+    def basis(self, z):
+        return odd_corners(z / self.scale, FORCE)
 
 
 class NormalForceOnBodyBySide(VelocityTerm):

@@ -18,6 +18,7 @@ from slider_jax.effects.functions import (
     even_powers,
     lagged,
     mixed_powers,
+    odd_corners,
     odd_powers,
 )
 
@@ -161,6 +162,13 @@ class SensorEvenPowers(OwnPowers):
 
     def basis(self, z):
         return even_powers(z / self.scale)
+
+
+class SensorCorners(OwnPowers):
+    """f is an odd function of the reading that has corners."""
+
+    def basis(self, z):
+        return odd_corners(z / self.scale)
 
 
 class OtherPowers(SensorPowers):
@@ -346,6 +354,12 @@ class PressureReadingPowers(OfPressure, SensorOddPowers):
     title = "nonlinearity of the pressure sensors"
 
 
+class PressureReadingWithCorners(OfPressure, SensorCorners):
+    """An error that is an odd function of the reading of the pressure sensors and has corners."""
+
+    title = "nonlinearity of the pressure sensors, with corners"
+
+
 class PressureReadingPowersBySign(OfPressure, SensorEvenPowers):
     """An error that is an even function of the reading of the pressure sensors."""
 
@@ -416,6 +430,12 @@ class ThrustReadingPowers(OfThrust, SensorOddPowers):
     """An error that is an odd function of the reading of the thrust sensor."""
 
     title = "nonlinearity of the thrust sensor"
+
+
+class ThrustReadingWithCorners(OfThrust, SensorCorners):
+    """An error that is an odd function of the reading of the thrust sensor and has corners."""
+
+    title = "nonlinearity of the thrust sensor, with corners"
 
 
 class ThrustReadingPowersBySign(OfThrust, SensorEvenPowers):
@@ -492,6 +512,12 @@ class RecoilReadingPowers(OfRecoil, SensorOddPowers):
     title = "nonlinearity of the recoil sensor"
 
 
+class RecoilReadingWithCorners(OfRecoil, SensorCorners):
+    """An error that is an odd function of the reading of the recoil sensor and has corners."""
+
+    title = "nonlinearity of the recoil sensor, with corners"
+
+
 class RecoilReadingPowersBySign(OfRecoil, SensorEvenPowers):
     """An error that is an even function of the reading of the recoil sensor."""
 
@@ -564,6 +590,12 @@ class TipReadingPowers(OfTip, SensorOddPowers):
     """An error that is an odd function of the reading of the tip sensor."""
 
     title = "nonlinearity of the tip sensor"
+
+
+class TipReadingWithCorners(OfTip, SensorCorners):
+    """An error that is an odd function of the reading of the tip sensor and has corners."""
+
+    title = "nonlinearity of the tip sensor, with corners"
 
 
 class TipReadingPowersBySign(OfTip, SensorEvenPowers):

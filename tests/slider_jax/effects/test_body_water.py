@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from slider_jax.effects.body.internal_friction import InternalFriction
 from slider_jax.effects.body.joint_backlash import JointBacklash
 from slider_jax.effects.body.joint_compliance import JointCompliance
 from slider_jax.effects.body.material_damping import MaterialDamping
+from slider_jax.effects.body.mullins_softening import MullinsSoftening
 from slider_jax.effects.body.power_damping import PowerDamping
 from slider_jax.effects.body.rest_curvature import RestCurvature
 from slider_jax.effects.body.side_stiffness import CURVATURE_ROUNDING, SideStiffness
@@ -175,6 +177,19 @@ def moments(effect, kappa, dt):
         expected = moment if name in effect.segments else 0.0 * moment
         np.testing.assert_array_equal(part, np.broadcast_to(expected[:, None], part.shape))
     return moment
+
+
+def test_rubber_is_soft_only_below_its_largest_previous_strain():
+    """Loading to 3 1/m, unloading to 1 1/m, and loading in the other direction to 4 1/m."""
+    effect, q, found = MullinsSoftening(0.6, 2.0), jnp.zeros(2), []
+    for kappa in (1.0, 3.0, 1.0, -4.0, 3.0):
+        x = SimpleNamespace(kappa=jnp.full(2, kappa), EI=EI, in_tail=jnp.array([0.0, 1.0]))
+        moment, q = effect.moment(x, q, 1e-3)
+        found.append(np.asarray(moment) / (EI * kappa))
+    first, second = (-0.6 * math.erf(x / 4.0) for x in (9.0 - 1.0, 16.0 - 9.0))
+    expected = np.array([0.0, 0.0, first, 0.0, second])
+    np.testing.assert_allclose(np.array(found)[:, 0], expected, atol=1e-12)
+    np.testing.assert_array_equal(np.array(found)[:, 1], 0.0)
 
 
 @pytest.mark.parametrize("kind", [StressRelaxation, TailRelaxation])

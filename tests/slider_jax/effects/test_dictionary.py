@@ -11,7 +11,7 @@ import pytest
 from calibration.model.extended import candidate_effects
 from slider_jax.effects import Chamber, Readings, dictionary
 from slider_jax.effects.check import checked_effects
-from slider_jax.effects.functions import Powers, even_powers, mixed_powers, odd_powers
+from slider_jax.effects.functions import Powers, even_powers, mixed_powers, odd_corners, odd_powers
 from slider_jax.effects.library import DICTIONARY, LIBRARY
 from slider_jax.experiment.load import assemble
 from slider_jax.simulation.effect_signature import built_in_experiment
@@ -30,14 +30,14 @@ def test_terms_vanish_at_their_nulls_and_have_finite_tangents(name):
 
 
 def test_the_dictionary_is_no_part_of_the_library():
-    assert len(FILES) == 7 and len(DICTIONARY) == 112
+    assert len(FILES) == 7 and len(DICTIONARY) == 126
     assert not set(DICTIONARY) & (set(LIBRARY) | set(candidate_effects()))
 
 
 @pytest.mark.parametrize("name", DICTIONARY)
 def test_a_term_has_a_basis_function_for_every_parameter_or_for_every_part(name):
     effect = DICTIONARY[name]()
-    basis = np.asarray(effect.basis(jnp.linspace(-1.0, 1.0, 5)))
+    basis = np.asarray(effect.basis(getattr(effect, "scale", 1.0) * jnp.linspace(-1.0, 1.0, 5)))
     assert np.isfinite(basis).all() and np.abs(basis).max() > 0.0
     if set(effect.priors()) == {"body", "tail"}:
         assert basis.shape == (5,)
@@ -71,6 +71,15 @@ def test_even_powers_are_the_absolute_value_the_square_and_the_absolute_cube():
     np.testing.assert_allclose(even_powers(jnp.asarray(Z), 2.0), 2.0 * np.array(expected))
 
 
+def test_odd_corners_are_linear_beyond_a_quarter_a_half_and_three_quarters():
+    z = jnp.array([-2.0, -1.0, -0.6, -0.2, 0.2, 0.6, 1.0, 2.0])
+    quarter = [-0.75, -0.75, -0.35, 0.0, 0.0, 0.35, 0.75, 0.75]
+    half = [-0.5, -0.5, -0.1, 0.0, 0.0, 0.1, 0.5, 0.5]
+    most = [-0.25, -0.25, 0.0, 0.0, 0.0, 0.0, 0.25, 0.25]
+    expected = 3.0 * np.array([quarter, half, most])
+    np.testing.assert_allclose(odd_corners(z, 3.0), expected, atol=1e-15)
+
+
 def test_mixed_powers_are_the_state_its_absolute_value_and_its_square():
     expected = [Z, np.abs(Z), Z**2]
     np.testing.assert_allclose(mixed_powers(jnp.asarray(Z), 3.0), 3.0 * np.array(expected))
@@ -88,7 +97,7 @@ def test_powers_are_constant_beyond_the_largest_visited_state():
         for kind in DICTIONARY.values()
         if issubclass(kind, Powers) and "scale" in kind.shapes()
     ]
-    assert len(scaled) == 75
+    assert len(scaled) == 88
     for term in scaled:
         ends = np.asarray(term.basis(term.scale * jnp.array([-3.0, -1.0, 1.0, 3.0])))
         np.testing.assert_allclose(ends[:, [0, 3]], ends[:, [1, 2]])

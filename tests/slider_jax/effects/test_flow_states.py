@@ -14,6 +14,7 @@ from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
 from slider_jax.effects.pneumatics.chamber_swing import ChamberSwing
 from slider_jax.effects.pneumatics.converter_ripple import ConverterRipple
 from slider_jax.effects.pneumatics.gas_heating import GasHeating
+from slider_jax.effects.pneumatics.regulator_integral import RegulatorIntegral
 from slider_jax.supports import Clamped
 from tests.support.chambers import LAG, A, K, chambers, held, relaxation
 
@@ -27,6 +28,16 @@ def test_gas_heating_is_a_linear_system_of_two_equations():
     found = relaxation(GasHeating(a, tau), start, end, T)
     np.testing.assert_allclose(found, exact, atol=1e-5 * A)
     assert np.max(np.abs(found - relaxation(GasHeating(0.0, tau), start, end, T))) > 0.03 * A
+
+
+def test_an_integral_part_makes_the_pressure_a_damped_oscillator():
+    """p'' + p'/k + c p = c p_set, so the pressure overshoots for c k^2 > 1/4."""
+    c, start, end = 2.0 / K**2, 0.2 * A, A
+    M = np.array([[-1.0 / K, c], [-1.0, 0.0]])
+    exact = [(expm(M * t) @ [start - end, 0.0])[0] + end for t in T]
+    found = relaxation(RegulatorIntegral(c), start, end, T)
+    np.testing.assert_allclose(found, exact, atol=1e-5 * A)
+    assert np.max(found) > 1.1 * A
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -71,7 +82,9 @@ def test_the_regulator_controls_the_reading_of_the_converter():
     assert np.max(np.abs(found - relaxation(ConverterRipple(), 0.1 * A, A, T))) > 2e3
 
 
-@pytest.mark.parametrize("effect", [GasHeating(0.2, 0.05), ChamberSwing(5e-7, 4.0, 0.2)])
+@pytest.mark.parametrize(
+    "effect", [GasHeating(0.2, 0.05), ChamberSwing(5e-7, 4.0, 0.2), RegulatorIntegral(90.0)]
+)
 def test_derivatives_reach_the_parameters_through_the_states(effect):
     leaves, structure = jax.tree.flatten(effect)
 

@@ -254,3 +254,72 @@ def test_an_error_depends_on_another_sensor(sensor, other):
     error = scale * (0.1 * q + 0.2 * q + 0.4 * q**2)
     count = 2 if other == "pressure" else 1  # both chambers have the same pressure
     np.testing.assert_allclose(field(read, sensor) - field(true, sensor), count * error)
+
+
+CORNERS = np.sign(Z) * sum(
+    f * np.maximum(np.abs(Z) - k, 0.0) for f, k in ((0.1, 0.25), (0.2, 0.5), (0.4, 0.75))
+)
+
+
+def test_moments_have_corners():
+    x = section(kappa=2.0 * Z, pressure=150e3 * Z)
+    for name, cells in (("body", BODY), ("tail", 1.0 - BODY)):
+        found = moment(f"moment_of_{name}_with_corners", x, 2.0)
+        np.testing.assert_allclose(found, 0.04 * 2.0 * CORNERS * cells)
+    found = moment("moment_of_pressure_with_corners", x, 150e3)
+    np.testing.assert_allclose(found, 0.05 * CORNERS * BODY)
+
+
+def test_the_normal_force_has_corners():
+    found = force("normal_force_with_corners", section(u_n=0.5 * Z), 0.5)
+    np.testing.assert_allclose(found, 10.0 * CORNERS)
+
+
+def test_flow_and_set_pressure_have_corners():
+    """One unit of a parameter is 3 MPa/s, or 20 kPa. The state is the whole scale."""
+    whole = 0.1 * 0.75 + 0.2 * 0.5 + 0.4 * 0.25
+    x, rate = chambers([200e3, -200e3], [0.0, 100e3]), jnp.zeros(2)
+    flow = DICTIONARY["flow_of_pressure_with_corners"](**FACTORS, scale=200e3)
+    np.testing.assert_allclose(flow.rate(rate, x), 3e6 * whole * np.array([1.0, -1.0]))
+    flow = DICTIONARY["flow_of_difference_with_corners"](**FACTORS, scale=200e3)
+    np.testing.assert_allclose(flow.rate(rate, x), 3e6 * whole * np.array([-1.0, 1.0]))
+    wave = SquareWave(jnp.asarray(1.0), jnp.asarray(100e3))
+    term = DICTIONARY["set_pressure_with_corners"](**FACTORS, scale=100e3)
+    found = term.command(wave, 0).segment(jnp.asarray(0.4), jnp.asarray(0.6))
+    np.testing.assert_allclose([found.a0, found.b1], [100e3 + 20e3 * whole, -100e3 - 20e3 * whole])
+
+
+def test_the_flow_depends_on_the_size_of_the_difference_or_on_the_other_chamber():
+    """One unit of a parameter is 3 MPa/s. The differences are 100 and -50 kPa."""
+    x, rate = chambers([100e3, -50e3], [200e3, -100e3]), jnp.zeros(2)
+    of_size = DICTIONARY["flow_of_difference_by_side"](**FACTORS, scale=200e3)
+    small, large = 0.025 + 0.0125 + 0.00625, 0.05 + 0.05 + 0.05
+    np.testing.assert_allclose(of_size.rate(rate, x), 3e6 * np.array([large, small]))
+    of_other = DICTIONARY["flow_of_other_difference"](**FACTORS, scale=200e3)
+    front, rear = -0.025 + 0.05 + 0.025, 0.05 + 0.1 + 0.1
+    np.testing.assert_allclose(of_other.rate(rate, x), 3e6 * np.array([front, rear]))
+
+
+@pytest.mark.parametrize("sensor", ["pressure", "thrust", "recoil", "tip"])
+def test_the_error_of_a_sensor_has_corners(sensor):
+    scale = {"pressure": 100e3, "thrust": 0.2, "recoil": 1.0, "tip": 0.02}[sensor]
+    true = Readings(jnp.arange(5.0), *(5 * [jnp.asarray(2.0 * scale * Z)]))
+    read = DICTIONARY[f"{sensor}_reading_with_corners"](**FACTORS, scale=2.0).read(true)
+    changed = ("p_front", "p_rear") if sensor == "pressure" else (sensor,)
+    for name in Readings._fields[1:]:
+        error = np.asarray(getattr(read, name) - getattr(true, name))
+        np.testing.assert_allclose(error, scale * CORNERS * (name in changed), atol=1e-12)
+
+
+def test_the_flow_follows_the_past_difference():
+    """One unit of a parameter changes dp/dt by 3 MPa/s at a lagged difference of 250 kPa."""
+    term = DICTIONARY["flow_of_past_difference"](**FACTORS)
+    states = np.array([[250e3, 0.0], [0.0, 125e3], [0.0, -250e3]])
+    x = chambers([100e3, -50e3], [200e3, -50e3], states)
+    found = term.rate(jnp.array([1e6, 0.0]), x)
+    np.testing.assert_allclose(found, [1e6 + 0.3e6, 3e6 * (0.1 - 0.4)])
+    lag = np.array([[0.03], [0.3], [3.0]])
+    np.testing.assert_allclose(term.state_rates(found, x), ([100e3, 0.0] - states) / lag)
+    z = np.array([0.0, 0.3])
+    step = [3e6 * (1.0 - np.exp(-z / tau)) for tau in (0.03, 0.3, 3.0)]
+    np.testing.assert_allclose(term.basis(jnp.asarray(z)), step)

@@ -26,6 +26,7 @@ from slider_jax.effects.sensors.pressure_drift import PressureDrift
 from slider_jax.effects.sensors.pressure_gain import PressureGain
 from slider_jax.effects.sensors.pressure_offset import PressureOffset
 from slider_jax.effects.sensors.pressure_resonance import PressureResonance
+from slider_jax.effects.sensors.pressure_saturation import PressureSaturation
 from slider_jax.effects.sensors.pressure_sensor_lag import PressureSensorLag
 from tests.support.helpers import order
 
@@ -132,6 +133,19 @@ def test_a_cubic_error_has_the_harmonics_of_a_cubed_sine(effect, c):
         assert abs(first - -1j * A * (1.0 + 0.75 * c * A**2)) < 1e-9 * A
         assert abs(third - 1j * c * A**3 / 4.0) < 1e-9 * A
     untouched(effect, true, read)
+
+
+@pytest.mark.parametrize(("c", "beyond"), [(1.0, 0.0), (0.25, 0.75)])
+def test_a_pressure_sensor_loses_sensitivity_beyond_its_range(c, beyond):
+    """The corner is at 100 kPa, and 5 kPa wide."""
+    true = made_of(lambda t: t, jnp.linspace(-1.0, 1.0, 41))
+    read, p = PressureSaturation(c, 100e3).read(true), np.asarray(true.p_front)
+    expected = np.clip(p, -1e5, 1e5) + beyond * (p - np.clip(p, -1e5, 1e5))
+    far = np.abs(np.abs(p) - 1e5) > 25e3
+    np.testing.assert_allclose(np.asarray(read.p_front)[far], expected[far], atol=c * 200.0)
+    corner = np.argmin(np.abs(p - 1e5))
+    assert abs(float(read.p_front[corner]) - (1e5 - c * 2.5e3)) < 100.0
+    untouched(PressureSaturation, true, read)
 
 
 def test_hum_has_the_amplitude_and_phase_of_its_sine_and_cosine():
