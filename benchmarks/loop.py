@@ -1,7 +1,7 @@
 """Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
     python benchmarks/loop.py null noise situation single double --out DIR
-    python benchmarks/loop.py outside fresh blind unseen novel --out DIR
+    python benchmarks/loop.py outside fresh blind unseen novel further --out DIR
     python benchmarks/loop.py table --out DIR
 
 The benchmark writes one file per tank to DIR. An interrupted run resumes when you repeat the
@@ -35,6 +35,7 @@ from tanks import (
 
 from calibration.discrepancy import report
 from calibration.discrepancy.close_loop import LoopOutcome
+from calibration.discrepancy.verdict import CLASS, IDENTIFIED
 from calibration.inference.goodness import noise_floors, rms_errors
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.learning.learn import Learning, learn_terms
@@ -266,7 +267,9 @@ def run_case(
     found = noisy_records(tank, true, _seeded(case.seed, case.kind, case.name), case.noise)
     made, start = time.perf_counter() - start, time.perf_counter()
     outcome = close_tank_loop(tank, found, candidates, memo, progress)
-    learning = learn_terms(outcome, progress) if case.kind in LACKING else None
+    explained = outcome.verdict in (IDENTIFIED, CLASS)  # a function may replace several effects
+    learning = learn_terms(outcome, progress) if explained or case.kind in LACKING else None
+    outcome = outcome if learning is None else learning.outcome
     seconds = time.perf_counter() - start
     record = outcome_record(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
     if learning is not None:
@@ -387,7 +390,7 @@ def main() -> None:
     part, parts = map(int, arguments.part.split("/"))
     prepare_jax()
     candidates = candidate_effects()
-    for name in ("unknown", "fresh", "blind", "unseen", "novel"):
+    for name in ("unknown", "fresh", "blind", "unseen", "novel", "further"):
         load_effects(Path(__file__).parent / f"{name}_effects.py")
     for what in arguments.what:
         if what == "table":

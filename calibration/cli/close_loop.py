@@ -154,6 +154,7 @@ def _close_on_experiment(
 
     outcome = close_loop_on_trials(experiment, names, progress, memo=memo)
     learning = learn_terms(outcome, progress)
+    outcome = outcome if learning is None else learning.outcome
     following = next_experiment(outcome, progress)
     learned = None if learning is None else learned_record(learning, progress)
     record = loop_record(outcome, seconds(), input_file(inputs[0]), following)

@@ -12,7 +12,7 @@ from calibration.discrepancy.refits import FitStart, Refits
 from calibration.discrepancy.rounds import Growth, Selection, effect_entries
 from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
-from calibration.discrepancy.verdict import EffectStatus, judge_effects, reach_verdict
+from calibration.discrepancy.verdict import PROVISIONAL, EffectStatus, judge_effects, reach_verdict
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import (
     Fit,
@@ -78,6 +78,8 @@ class LoopOutcome:
     """Faults of the data and the actions taken."""
     noise: dict[str, ChannelNoise] = field(default_factory=dict)
     """Declared, measured and used white noise of each channel; empty for pressure logs."""
+    replaceable: bool = False
+    """Whether a learned function with fewer terms explains the data as well as the effects."""
 
     @property
     def unstable(self) -> list[Instability]:
@@ -88,10 +90,11 @@ class LoopOutcome:
     def corrections(self) -> list[str]:
         """Added effects that may only resemble the cause.
 
-        If the fit did not converge, these are all effects. Otherwise, they are the effects with a
-        residual above the noise floor in a channel that they change.
+        If the fit did not converge or the effects are `replaceable`, these are all effects.
+        Otherwise, they are the effects with a residual above the noise floor in a channel that they
+        change.
         """
-        doubtful = not self.chosen.converged
+        doubtful = self.replaceable or not self.chosen.converged
         return [x.name for x in self.statuses if x.above_floor or doubtful]
 
     @property
@@ -102,7 +105,8 @@ class LoopOutcome:
     @property
     def statuses(self) -> list[EffectStatus]:
         """Status of each added effect."""
-        return judge_effects(self.search, self.final.theta, self.excess)
+        found = judge_effects(self.search, self.final.theta, self.excess)
+        return [x._replace(status=PROVISIONAL) for x in found] if self.replaceable else found
 
     @property
     def chosen(self) -> Fit:

@@ -242,6 +242,11 @@ def effect_sentences(outcome: LoopOutcome) -> list[str]:
                 f"{these} may only resemble the cause, because the residual of {channels} is not "
                 "only noise."
             )
+        if outcome.replaceable:
+            text.append(
+                f"{these} may only resemble the cause, because a learned function with fewer terms "
+                "explains the data as well."
+            )
     for x in found:
         if x.equivalent:
             others = ", ".join(x.equivalent)

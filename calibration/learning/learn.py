@@ -13,7 +13,13 @@ import numpy as np
 from calibration.discrepancy.close_loop import LoopOutcome, growth_of_error
 from calibration.discrepancy.refits import Refits, effect_tangents
 from calibration.discrepancy.rounds import Growth, relative_changes, scoring_entries
-from calibration.discrepancy.verdict import PARTLY, UNEXPLAINED, channels_above_floor
+from calibration.discrepancy.verdict import (
+    CLASS,
+    IDENTIFIED,
+    PARTLY,
+    UNEXPLAINED,
+    channels_above_floor,
+)
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, channel_errors, tested_excess
 from calibration.inference.problem import FAILED, Swing, TankProblem, total
@@ -31,7 +37,7 @@ from calibration.learning.states import largest_states
 from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
 from calibration.model.plan import TrialPlan
 from slider_jax.effects.dictionary.sensor import SensorGainSine
-from slider_jax.effects.library import DICTIONARY
+from slider_jax.effects.library import DICTIONARY, LIBRARY
 
 Progress = Callable[[str], None]
 
@@ -232,17 +238,24 @@ class Learning:
 def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) -> Learning | None:
     """Returns the result of learning, or None if the verdict requires no learned function.
 
-    An added effect may only resemble the cause. The function is therefore learned without effects
-    first, then beside the effects that are not corrections, then beside all effects. The result is
-    the first function that reaches the noise floor. Without such a function, the result is the
-    function with the smallest error in the tested trials, if this error is below the error of the
-    loop's model.
+    If several effects were identified, a function with fewer terms may explain the data as well.
+    Then these effects may only resemble the cause: the result contains this function and an outcome
+    whose effects are corrections. Otherwise, the result is None.
+
+    With a residual above the noise floor, an added effect may only resemble the cause. The function
+    is therefore learned without effects first, then beside the effects that are not corrections,
+    then beside all effects. The result is the first function that reaches the noise floor. Without
+    such a function, the result is the function with the smallest error in the tested trials, if
+    this error is below the error of the loop's model.
     """
-    if outcome.verdict not in (PARTLY, UNEXPLAINED):
+    several = _may_resemble_one_cause(outcome)
+    if not several and outcome.verdict not in (PARTLY, UNEXPLAINED):
         return None
     used = outcome.used_trials
     parts = halves([outcome.problem.records[i].trial.frequency for i in used])
     if len(parts[1]) < MIN_HALF:
+        if several:
+            return None
         few = Learning(outcome)
         few.reason = (
             f"only {len(used)} trials were not held out; each half needs {MIN_HALF} trials, so an "
@@ -257,6 +270,13 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
         known = Dictionary.of(outcome, effects, scales, progress)
         return _learned(Learning(outcome, selection, estimation), known, progress)
 
+    if several:
+        progress(f"testing whether a function replaces {', '.join(outcome.effects)}")
+        found = learned([])
+        if found.model is None or not _as_good_and_simpler(found.model, outcome):
+            return None
+        found.outcome = replace(outcome, verdict=PARTLY, replaceable=True)
+        return found
     kept = [n for n in outcome.effects if n not in outcome.corrections]
     attempts: list[Learning] = []
     for effects in sorted({(), tuple(kept), tuple(outcome.effects)}, key=len):
@@ -275,6 +295,35 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
         last.model = None
         last.reason = "the function does not lower the error below the error of the loop's model"
     return last
+
+
+def _may_resemble_one_cause(outcome: LoopOutcome) -> bool:
+    """Returns whether the verdict names three effects, or two effects of the same room.
+
+    A room is a folder of the library, for example `water`. One function rarely describes two
+    effects of different rooms, so the test of a function would only cost time.
+    """
+    rooms = {LIBRARY[name].__module__.rpartition(".")[0] for name in outcome.effects}
+    number = len(outcome.effects)
+    named = outcome.verdict in (IDENTIFIED, CLASS)
+    return named and (number > 2 or (number == 2 and len(rooms) == 1))
+
+
+def _as_good_and_simpler(learned: LearnedModel, outcome: LoopOutcome) -> bool:
+    """Returns whether fewer terms than effects explain the data as well as the effects.
+
+    Each additional effect has to lower the sum of squares by `min_gain`, as in the selection.
+    """
+    fewer = len(outcome.effects) - len(learned.terms)
+    if fewer <= 0 or learned.above_floor:
+        return False
+    problem, chosen = learned.problem, outcome.chosen
+    white = problem.whiteners(chosen.predicted)
+    effects, function = (
+        total(problem.residuals(y, white)) for y in (chosen.predicted, learned.fit.predicted)
+    )
+    allowed = fewer * outcome.search.settings.min_gain
+    return (function - effects) / chosen.inflation <= allowed
 
 
 def _learned(found: Learning, known: Dictionary, progress: Progress) -> Learning:

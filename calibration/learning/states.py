@@ -16,6 +16,7 @@ from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.pressures import REAR, chamber_history, set_pressures, start_chambers
 from slider_jax.dynamics.step import Snapshot, at_rest
 from slider_jax.effects import Chamber, Readings
+from slider_jax.effects.dictionary.flow import FlowOfPastDifference
 from slider_jax.effects.functions import CubicDrift
 from slider_jax.effects.library import DICTIONARY
 from slider_jax.simulation.trial import advance_chunk, run_chunks
@@ -24,7 +25,9 @@ RARE = 0.005
 """Fraction of the visited states beyond each end of a function's table. The same fraction of the
 states exceeds the scale of a term. A state has extreme values when the drive switches."""
 OF_READINGS = ("Instrument", "WaterMotion")
-"""Places whose terms depend on the readings or their times. A `CubicDrift` depends on the time."""
+"""Places whose terms depend on the readings or their times."""
+OF_TIME = (CubicDrift, FlowOfPastDifference)
+"""Terms of other places that depend on the times of the readings."""
 OF_CHAMBERS = ("Command", "Flow", "ActingPressure")
 """Places whose other terms depend on the state of the chambers."""
 PARTS = ("body", "tail")
@@ -51,7 +54,7 @@ def visited_states(
     local = any(x.place() not in (*OF_CHAMBERS, *OF_READINGS) for x in terms.values())
     sections = _visited_sections(plan, model) if local else []
     for name, term in terms.items():
-        if term.place() in OF_READINGS or isinstance(term, CubicDrift):
+        if term.place() in OF_READINGS or isinstance(term, OF_TIME):
             found[name] = {"": np.ravel(term.state(read))}
         elif term.place() in OF_CHAMBERS:
             found[name] = {"": np.ravel(term.state(chamber))}

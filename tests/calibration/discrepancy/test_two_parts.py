@@ -4,6 +4,7 @@ Each effect adds a tone to the thrust; the effects' physical meaning is not used
 """
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -119,6 +120,17 @@ def test_an_effect_that_leaves_a_residual_is_a_correction():
     assert "The model lacked" not in record["said"]
     assert "<td>provisional</td>" in page and 'name = "carried_mass"' in model
     assert record["errors"]["thrust"]["after"] < record["errors"]["thrust"]["before"]
+
+
+def test_effects_that_a_simpler_function_replaces_are_corrections_at_the_noise_floor():
+    outcome = conclusion((0.3, 0.25, 0.0, 0.0))
+    assert outcome.verdict == "identified"
+    record, page, _ = report(replace(outcome, verdict="partly_explained", replaceable=True))
+    assert statuses(record) == {n: "provisional" for n in ("carried_mass", "chamber_mismatch")}
+    assert record["said"].startswith("As corrections, the model contains: ")
+    assert "because a learned function with fewer terms explains the data as well" in record["said"]
+    assert "is not only noise" not in record["said"] and "The model lacked" not in record["said"]
+    assert page.count("<td>provisional</td>") == 2
 
 
 def test_a_residual_below_the_floor_with_a_pattern_is_not_called_larger_than_noise():

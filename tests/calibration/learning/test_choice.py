@@ -1,9 +1,12 @@
 """Whether a function is learned instead of the corrections or beside them."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from calibration.discrepancy.settings import SelectionSettings
 from calibration.learning import learn
 from calibration.learning.learn import Learning, learn_terms
 from calibration.learning.pursuit import PlaceGain
@@ -124,3 +127,95 @@ def test_without_a_significant_term_nothing_is_estimated(monkeypatch):
     known = SimpleNamespace(effects=[], search=lambda chosen, progress: places)
     found = learn._learned(Learning(None), known, print)
     assert found.model is None and "no term" in found.reason and not found.refused
+
+
+def several(monkeypatch, effects, terms, squares=(100.0, 100.0), above=(), trials=8):
+    """Returns the result for an outcome that names the `effects`, and the number of attempts.
+
+    The function has the `terms`. `squares` are the sums of squares with the effects and with the
+    function.
+    """
+    attempts = []
+
+    def learned(found, known, progress):
+        attempts.append(known)
+        if terms:
+            found.model = SimpleNamespace(
+                terms=terms,
+                above_floor=list(above),
+                problem=problem,
+                fit=SimpleNamespace(predicted=1),
+            )
+        return found
+
+    monkeypatch.setattr(learn, "_learned", learned)
+    monkeypatch.setattr(learn, "largest_states", lambda problem, fit: {})
+    monkeypatch.setattr(learn.Dictionary, "of", lambda outcome, effects, *_: list(effects))
+    monkeypatch.setattr(learn, "TankProblem", SimpleNamespace)
+    records = [SimpleNamespace(trial=SimpleNamespace(frequency=1.0 + i)) for i in range(trials)]
+    problem = SimpleNamespace(
+        records=records,
+        part=lambda chosen: None,
+        whiteners=lambda predicted: None,
+        residuals=lambda predicted, white: {(0, "tip"): np.sqrt([squares[predicted]])},
+    )
+    outcome = Outcome(
+        verdict="identified",
+        effects=effects,
+        corrections=[],
+        problem=problem,
+        used_trials=list(range(trials)),
+        chosen=SimpleNamespace(predicted=0, inflation=1.0),
+        search=SimpleNamespace(settings=SelectionSettings(min_gain=20.0)),
+    )
+    return learn_terms(outcome), len(attempts)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The fields of an outcome that the choice reads or replaces."""
+
+    verdict: str
+    effects: list[str]
+    corrections: list[str]
+    problem: SimpleNamespace
+    used_trials: list[int]
+    chosen: SimpleNamespace
+    search: SimpleNamespace
+    replaceable: bool = False
+
+
+PRESSURES = ["leakage", "choked_flow", "valve_overlap"]
+
+
+@pytest.mark.parametrize(("terms", "loss"), [(["a", "b"], 19.0), (["a"], 39.0), (["a"], -50.0)])
+def test_fewer_terms_that_explain_the_data_as_well_make_several_effects_doubtful(
+    monkeypatch, terms, loss
+):
+    found, _ = several(monkeypatch, PRESSURES, terms, (100.0, 100.0 + loss))
+    assert found.outcome.replaceable and found.outcome.verdict == "partly_explained"
+    assert found.model.terms == terms
+
+
+@pytest.mark.parametrize(
+    ("terms", "loss", "above"),
+    [
+        (["a", "b", "c"], 0.0, ()),  # as many terms as effects
+        (["a", "b"], 21.0, ()),  # the third effect lowers the sum of squares by more than 20
+        (["a"], 41.0, ()),
+        (["a"], 0.0, ["tip"]),
+        ([], 0.0, ()),
+    ],
+)
+def test_several_effects_remain_causes(monkeypatch, terms, loss, above):
+    assert several(monkeypatch, PRESSURES, terms, (100.0, 100.0 + loss), above) == (None, 1)
+
+
+def test_no_function_is_learned_for_a_single_effect_or_for_two_effects_of_different_rooms(
+    monkeypatch,
+):
+    assert several(monkeypatch, ["leakage"], ["a"]) == (None, 0)
+    assert several(monkeypatch, ["leakage", "tail_drag"], ["a"]) == (None, 0)
+    assert several(monkeypatch, PRESSURES, ["a"], trials=5) == (None, 0)
+    for effects in (["leakage", "choked_flow"], ["leakage", "tail_drag", "camera_delay"]):
+        assert several(monkeypatch, effects, ["a"])[1] == 1
