@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from blind_effects import BLIND_EFFECTS
 from fresh_effects import FRESH_EFFECTS
+from further_effects import FURTHER_EFFECTS
 from novel_effects import NOVEL_EFFECTS
 from scipy.optimize import linear_sum_assignment
 from unknown_effects import UNKNOWN_EFFECTS
@@ -23,6 +24,7 @@ LACKING = {
     "blind": BLIND_EFFECTS,
     "unseen": UNSEEN_EFFECTS,
     "novel": NOVEL_EFFECTS,
+    "further": FURTHER_EFFECTS,
 }
 """Effects that the library lacks, by kind of case."""
 EXPLAINABLE = 1.1
