@@ -15,6 +15,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,8 @@ LONG: dict[str, tuple[float, ...]] = {
 }
 
 
-def write_tanks(out: Path, long: bool) -> dict[str, Path]:
-    """Returns the experiment file of each tank; missing tanks are simulated."""
+def write_tanks(out: Path, long: bool, only: Container[str] | None = None) -> dict[str, Path]:
+    """Returns the experiment file of each tank in `only`; missing tanks are simulated."""
     tanks: dict[str, tuple[dict[str, dict[str, float]], tuple[float, ...], int]] = {}
     if long:
         skin = {"tangential_friction": {"C_t": 0.03}}
@@ -57,6 +58,8 @@ def write_tanks(out: Path, long: bool) -> dict[str, Path]:
         tanks = {n: (cause, SECONDS, 20 + i) for i, (n, cause) in enumerate(CAUSES.items())}
     found = {}
     for i, (name, (effects, seconds, seed)) in enumerate(tanks.items()):
+        if only is not None and name not in only:
+            continue
         folder = out / name.replace(" ", "_")
         trials = [
             trial | {"duration": duration}
@@ -114,8 +117,7 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     table = given.out / "times.json"
     times: dict[str, dict[str, Any]] = json.loads(table.read_text()) if table.exists() else {}
-    tanks = write_tanks(given.out, given.long)
-    runs = [(name, path) for name, path in tanks.items() if not given.only or name in given.only]
+    runs = [*write_tanks(given.out, given.long, given.only).items()]
     for name, path in ([("first run", runs[0][1])] if not given.long else []) + runs:
         if name in times:
             continue
