@@ -49,7 +49,7 @@ LONG: dict[str, tuple[float, ...]] = {
 
 
 def write_tanks(out: Path, long: bool, only: Container[str] | None = None) -> dict[str, Path]:
-    """Returns the experiment file of each tank in `only`; missing tanks are simulated."""
+    """Returns the experiment file of each tank in `only`, or of all; simulates missing tanks."""
     tanks: dict[str, tuple[dict[str, dict[str, float]], tuple[float, ...], int]] = {}
     if long:
         skin = {"tangential_friction": {"C_t": 0.03}}
@@ -58,7 +58,7 @@ def write_tanks(out: Path, long: bool, only: Container[str] | None = None) -> di
         tanks = {n: (cause, SECONDS, 20 + i) for i, (n, cause) in enumerate(CAUSES.items())}
     found = {}
     for i, (name, (effects, seconds, seed)) in enumerate(tanks.items()):
-        if only is not None and name not in only:
+        if only and name not in only:
             continue
         folder = out / name.replace(" ", "_")
         trials = [

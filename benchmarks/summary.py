@@ -27,6 +27,12 @@ LACKING = {
     "further": FURTHER_EFFECTS,
 }
 """Effects that the library lacks, by kind of case."""
+SAME_LAW = {
+    "integral_action": "regulator_integral",
+    "exceeded_range": "pressure_saturation",
+    "mullins_sleeve": "mullins_softening",
+}
+"""Effects of the list `novel` that the library has since then, and their names in the library."""
 EXPLAINABLE = 1.1
 """A case has a residual to explain if the held-out rms divided by the noise floor is larger."""
 NAMING = ("sparse", "stepwise", "knockoffs")
@@ -103,6 +109,9 @@ def rated_location(case: dict[str, Any]) -> str:
     """
     truth = LACKING[case["case"]["kind"]][next(iter(case["case"]["effects"]))]
     causes = named_causes(case)
+    same = SAME_LAW.get(next(iter(case["case"]["effects"])))
+    if causes and all(same in cause for cause in causes):
+        return "same law in the library"
     if causes:
         if not all(len(cause) > 1 for cause in causes):
             return "wrong name"

@@ -155,8 +155,9 @@ def _close_on_experiment(
     outcome = close_loop_on_trials(experiment, names, progress, memo=memo)
     learning = learn_terms(outcome, progress)
     outcome = outcome if learning is None else learning.outcome
-    following = next_experiment(outcome, progress)
     learned = None if learning is None else learned_record(learning, progress)
+    at_floor = learning is not None and learning.reaches_floor  # the function proposes a trial
+    following = None if at_floor else next_experiment(outcome, progress)
     record = loop_record(outcome, seconds(), input_file(inputs[0]), following)
     return outcome, with_learned(record, learned), learning
 

@@ -12,7 +12,7 @@ from calibration.discrepancy.refits import FitStart, Refits
 from calibration.discrepancy.rounds import Growth, Selection, effect_entries
 from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
-from calibration.discrepancy.verdict import PROVISIONAL, EffectStatus, judge_effects, reach_verdict
+from calibration.discrepancy.verdict import EffectStatus, judge_effects, reach_verdict
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import (
     Fit,
@@ -105,8 +105,7 @@ class LoopOutcome:
     @property
     def statuses(self) -> list[EffectStatus]:
         """Status of each added effect."""
-        found = judge_effects(self.search, self.final.theta, self.excess)
-        return [x._replace(status=PROVISIONAL) for x in found] if self.replaceable else found
+        return judge_effects(self.search, self.final.theta, self.excess, self.replaceable)
 
     @property
     def chosen(self) -> Fit:

@@ -236,7 +236,7 @@ def effect_sentences(outcome: LoopOutcome) -> list[str]:
         channels = ", ".join(dict.fromkeys(c for x in corrections for c in x.above_floor))
         one = len(corrections) == 1
         as_, these = ("a correction", "The effect") if one else ("corrections", "These effects")
-        text.append(f"As {as_}, the model contains: {_titles(corrections)}.")
+        text.append(f"As {as_}, the loop's model contains: {_titles(corrections)}.")
         if channels:
             text.append(
                 f"{these} may only resemble the cause, because the residual of {channels} is not "

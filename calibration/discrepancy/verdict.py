@@ -48,13 +48,13 @@ def parameters_beyond_prior(search: Selection, theta: np.ndarray, name: str) -> 
 
 
 def judge_effects(
-    search: Selection, theta: np.ndarray, after: Mapping[str, Excess]
+    search: Selection, theta: np.ndarray, after: Mapping[str, Excess], replaceable: bool = False
 ) -> list[EffectStatus]:
     """Returns the status of each added effect.
 
     `theta` are the parameters of the final model, and `after` are its residual mean squares. An
-    effect is provisional if the residual of a channel that it changes is above the noise floor, or
-    if the final fit did not converge.
+    effect is provisional if the residual of a channel that it changes is above the noise floor, if
+    the final fit did not converge, or if the effects are `replaceable` by a learned function.
     """
     left, found = channels_above_floor(after, search.settings), []
     for round_ in search.rounds:
@@ -64,7 +64,7 @@ def judge_effects(
         sizes = next(t.sizes for t in round_.refitted if t.name == name)
         above = [c for c in left if sizes.get(c, 0.0) > search.discrepancies[c]]
         beyond = parameters_beyond_prior(search, theta, name)
-        doubtful = bool(above) or not search.final.converged
+        doubtful = bool(above) or replaceable or not search.final.converged
         status = _status(round_.equivalent, beyond, doubtful)
         found.append(EffectStatus(name, status, round_.equivalent, above, beyond))
     return found

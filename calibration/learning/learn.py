@@ -16,6 +16,7 @@ from calibration.discrepancy.rounds import Growth, relative_changes, scoring_ent
 from calibration.discrepancy.verdict import (
     CLASS,
     IDENTIFIED,
+    LEARNED,
     PARTLY,
     UNEXPLAINED,
     channels_above_floor,
@@ -33,9 +34,10 @@ from calibration.learning.pursuit import (
     place_gains,
     stability,
 )
-from calibration.learning.states import largest_states
+from calibration.learning.states import OF_CHAMBERS, largest_states
 from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
 from calibration.model.plan import TrialPlan
+from slider_jax.effects import Effect
 from slider_jax.effects.dictionary.sensor import SensorGainSine
 from slider_jax.effects.library import DICTIONARY, LIBRARY
 
@@ -240,13 +242,14 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
 
     If several effects were identified, a function with fewer terms may explain the data as well.
     Then these effects may only resemble the cause: the result contains this function and an outcome
-    whose effects are corrections. Otherwise, the result is None.
+    with the verdict `learned`, whose effects are corrections. Otherwise, the result is None. Only
+    the function of the best place is tested.
 
-    With a residual above the noise floor, an added effect may only resemble the cause. The function
-    is therefore learned without effects first, then beside the effects that are not corrections,
-    then beside all effects. The result is the first function that reaches the noise floor. Without
-    such a function, the result is the function with the smallest error in the tested trials, if
-    this error is below the error of the loop's model.
+    If the residual is above the noise floor, an added effect may only resemble the cause. The
+    function is therefore learned without effects first, then beside the effects that are not
+    corrections, then beside all effects. The result is the first function that reaches the noise
+    floor. Without such a function, the result is the function with the smallest error in the tested
+    trials, if this error is below the error of the loop's model.
     """
     several = _may_resemble_one_cause(outcome)
     if not several and outcome.verdict not in (PARTLY, UNEXPLAINED):
@@ -273,9 +276,9 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
     if several:
         progress(f"testing whether a function replaces {', '.join(outcome.effects)}")
         found = learned([])
-        if found.model is None or not _as_good_and_simpler(found.model, outcome):
+        if found.model is None or not _replaces_effects(found.model, outcome):
             return None
-        found.outcome = replace(outcome, verdict=PARTLY, replaceable=True)
+        found.outcome = replace(outcome, verdict=LEARNED, replaceable=True)
         return found
     kept = [n for n in outcome.effects if n not in outcome.corrections]
     attempts: list[Learning] = []
@@ -298,32 +301,47 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
 
 
 def _may_resemble_one_cause(outcome: LoopOutcome) -> bool:
-    """Returns whether the verdict names three effects, or two effects of the same room.
+    """Returns whether the verdict names three effects, or two effects of the same part of the rig.
 
-    A room is a folder of the library, for example `water`. One function rarely describes two
-    effects of different rooms, so the test of a function would only cost time.
+    One function rarely describes two effects of different parts, so the test would only cost time.
     """
-    rooms = {LIBRARY[name].__module__.rpartition(".")[0] for name in outcome.effects}
-    number = len(outcome.effects)
+    number, parts = len(outcome.effects), {_part_of_rig(LIBRARY[n]) for n in outcome.effects}
     named = outcome.verdict in (IDENTIFIED, CLASS)
-    return named and (number > 2 or (number == 2 and len(rooms) == 1))
+    return named and (number > 2 or (number == 2 and len(parts) == 1))
 
 
-def _as_good_and_simpler(learned: LearnedModel, outcome: LoopOutcome) -> bool:
+def _part_of_rig(kind: type[Effect]) -> str:
+    """Returns the part of the rig in which an effect acts: pneumatics, body, water or sensors."""
+    place = kind.place()
+    if place in OF_CHAMBERS:
+        return "pneumatics"
+    if place == "Instrument":
+        return f"sensors of {', '.join(kind.sensors)}"
+    return "water" if place in ("ForceDensity", "WaterMotion") else "body"
+
+
+def _replaces_effects(learned: LearnedModel, outcome: LoopOutcome) -> bool:
     """Returns whether fewer terms than effects explain the data as well as the effects.
 
-    Each additional effect has to lower the sum of squares by `min_gain`, as in the selection.
+    As in the selection, each effect and each term must lower the sum of squares by the `least_gain`
+    of its number of parameters.
     """
-    fewer = len(outcome.effects) - len(learned.terms)
-    if fewer <= 0 or learned.above_floor:
+    if len(learned.terms) >= len(outcome.effects) or learned.above_floor:
         return False
-    problem, chosen = learned.problem, outcome.chosen
+    problem, chosen, settings = learned.problem, outcome.chosen, outcome.search.settings
     white = problem.whiteners(chosen.predicted)
-    effects, function = (
+    of_effects, of_terms = (
         total(problem.residuals(y, white)) for y in (chosen.predicted, learned.fit.predicted)
     )
-    allowed = fewer * outcome.search.settings.min_gain
-    return (function - effects) / chosen.inflation <= allowed
+
+    def required(entries: Sequence[Parameter], free: np.ndarray, names: Sequence[str]) -> float:
+        fitted = [entries[i].effect for i in free]
+        return sum(settings.least_gain(fitted.count(name)) for name in names)
+
+    allowed = required(outcome.entries, chosen.free, outcome.effects) - required(
+        learned.dictionary.entries, learned.fit.free, learned.terms
+    )
+    return (of_terms - of_effects) / chosen.inflation <= allowed
 
 
 def _learned(found: Learning, known: Dictionary, progress: Progress) -> Learning:

@@ -15,6 +15,8 @@ from slider_jax.effects.base import Readings, parameter, shape_parameter
 
 WHY_FACTOR = "20 times the unit of a term is more than any known law adds"
 WHY_DRIFT = "no property of a robot changes by more than its typical value during a trial"
+MEMORY_TIMES = (0.03, 0.3, 3.0)
+"""Time constants [s] of a memory: from the fastest strides to a whole trial."""
 LIMIT_EXPONENT = 32
 """Exponent of the function `limited`. Compared with a hard limit, the result is 2 % smaller for an
 x at the limit, and 0.1 % smaller for an x at 90 % of the limit."""

@@ -21,15 +21,19 @@ class MullinsSoftening(BendingMoment):
     order = 970
     segments = ("body",)
 
-    c: Scalar = parameter(0.0, 0.0, 0.8, "-", "filled rubbers lose up to 80 % of their stress")
+    c: Scalar = parameter(
+        0.0, 0.0, 0.8, "-", "filled rubbers lose up to 80 % of their stress", physical=(0.0, 1.0)
+    )
     """c, largest relative loss of the moment."""
     kappa_m: Scalar = shape_parameter(
-        2.0, 0.3, 10.0, "1/m", "a tenth to three times the curvature in a typical stride, 3 1/m"
+        2.0, 1.0, 10.0, "1/m", "a third to three times the curvature in a typical stride, 3 1/m"
     )
     """kappa_m, curvature scale of the softening."""
 
     def moment(self, x, memory, dt):
         square = x.kappa**2
+        # The extrapolated memory of a stage may exceed the largest square slightly; the next step
+        # begins from the value at the end of this step, so the excess does not accumulate.
         q = jnp.maximum(memory, square)
         lost = self.c * jax.lax.erf((q - square) / self.kappa_m**2)
         return -(1.0 - x.in_tail) * x.EI * x.kappa * lost, q

@@ -8,6 +8,7 @@ from jaxtyping import Array
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Curve, Flow, Readings, shape_parameter
 from slider_jax.effects.functions import (
+    MEMORY_TIMES,
     Basis,
     Powers,
     even_powers,
@@ -24,8 +25,6 @@ DIFFERENCE, RATE, OPENING = 250e3, 3e6, 12.5
 parameters of a term are factors of one of the last two."""
 MEMORY_TIME = 0.3
 """Time constant [s] of the recent flow: a stride at 3 Hz."""
-ERROR_TIMES = (0.03, 0.3, 3.0)
-"""Time constants [s] of the past difference p_set - p: from a fast valve to a whole trial."""
 WHY_SCALE = "the pressures of a soft robot"
 
 
@@ -101,14 +100,19 @@ class DifferenceTerm(FlowTerm):
     the visited |p_set - p|."""
 
 
-class FlowOfDifference(DifferenceTerm):
-    """dp/dt changes by an odd function f of the difference p_set - p."""
+class OwnDifferenceTerm(DifferenceTerm):
+    """A term whose function depends on the chamber's own difference p_set - p."""
 
-    title = "flow that depends on the pressure difference"
     term_curve = Curve("difference p_set - p", "Pa", "change of dp/dt", "Pa/s")
 
     def state(self, x):
         return x.p_set - x.p
+
+
+class FlowOfDifference(OwnDifferenceTerm):
+    """dp/dt changes by an odd function f of the difference p_set - p."""
+
+    title = "flow that depends on the pressure difference"
 
     def basis(self, z):
         # A linear function would be the lag of the base model, so a square root replaces it.
@@ -117,14 +121,10 @@ class FlowOfDifference(DifferenceTerm):
         return RATE * signed_root(e, CORNER), quadratic, cubic
 
 
-class FlowOfDifferenceBySide(DifferenceTerm):
+class FlowOfDifferenceBySide(OwnDifferenceTerm):
     """dp/dt changes by an even function f of the difference p_set - p, so the sides differ."""
 
     title = "flow that depends on the pressure difference and differs between the sides"
-    term_curve = Curve("difference p_set - p", "Pa", "change of dp/dt", "Pa/s")
-
-    def state(self, x):
-        return x.p_set - x.p
 
     def basis(self, z):
         return even_powers(z / self.scale, RATE)
@@ -146,21 +146,17 @@ class FlowOfOtherDifference(DifferenceTerm):
         return mixed_powers(z / self.scale, RATE)
 
 
-class FlowOfDifferenceWithCorners(DifferenceTerm):
+class FlowOfDifferenceWithCorners(OwnDifferenceTerm):
     """dp/dt changes by an odd function f of the difference p_set - p that has corners."""
 
     title = "flow that depends on the pressure difference, with corners"
-    term_curve = Curve("difference p_set - p", "Pa", "change of dp/dt", "Pa/s")
-
-    def state(self, x):
-        return x.p_set - x.p
 
     def basis(self, z):
         return odd_corners(z / self.scale, RATE)
 
 
-class FlowOfPastDifference(Powers, Flow):
-    """dp/dt changes by a sum of three lagged differences z, with the time constants `ERROR_TIMES`.
+class FlowOfLaggedDifference(Powers, Flow):
+    """dp/dt changes by a sum of three lagged differences z, with the time constants `MEMORY_TIMES`.
 
         tau dz/dt = p_set - p - z,    z(0) = 0
 
@@ -168,7 +164,7 @@ class FlowOfPastDifference(Powers, Flow):
     with an integral part, and a valve that opens late.
     """
 
-    title = "flow that depends on the past pressure difference"
+    title = "flow that depends on the lagged pressure difference"
     states = 3
     term_curve = Curve("time t after a step of 250 kPa", "s", "change of dp/dt", "Pa/s")
 
@@ -178,7 +174,7 @@ class FlowOfPastDifference(Powers, Flow):
 
     def basis(self, z: Array) -> Basis:
         """Returns the three changes of dp/dt at the time z after a step of 250 kPa."""
-        first, second, third = (RATE * (1.0 - jnp.exp(-z / tau)) for tau in ERROR_TIMES)
+        first, second, third = (RATE * (1.0 - jnp.exp(-z / tau)) for tau in MEMORY_TIMES)
         return first, second, third
 
     def rate(self, rate, x):
@@ -187,7 +183,7 @@ class FlowOfPastDifference(Powers, Flow):
 
     def state_rates(self, rate, x):
         e = x.p_set - x.p
-        return jnp.stack([(e - z) / tau for z, tau in zip(x.states, ERROR_TIMES, strict=True)])
+        return jnp.stack([(e - z) / tau for z, tau in zip(x.states, MEMORY_TIMES, strict=True)])
 
 
 class FlowBetweenChambers(FlowTerm):

@@ -10,6 +10,7 @@ from jaxtyping import Array
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, Instrument, Readings, parameter, shape_parameter
 from slider_jax.effects.functions import (
+    MEMORY_TIMES,
     Basis,
     Drift,
     Powers,
@@ -22,8 +23,6 @@ from slider_jax.effects.functions import (
     odd_powers,
 )
 
-MEMORY_TIMES = (0.03, 0.3, 3.0)
-"""Time constants [s] of a sensor's memory: from the fastest strides to a whole trial."""
 FRICTION_WIDTHS = (0.1, 0.3, 1.0)
 """Changes of a reading in which dry friction builds up, divided by the scale of the sensor."""
 DELAY = 0.02

@@ -18,9 +18,7 @@ class RegulatorIntegral(Flow):
     order = 188
     states = 1
 
-    c: Scalar = parameter(
-        0.0, 0.0, 150.0, "1/s^2", "with k = 0.08 s, one is the integral gain of critical damping"
-    )
+    c: Scalar = parameter(0.0, 0.0, 150.0, "1/s^2", "with k = 0.08 s, 39 1/s^2 is critical damping")
     """c, integral gain of the regulator divided by its time constant."""
 
     def rate(self, rate, x):

@@ -21,7 +21,9 @@ class PressureSaturation(Instrument):
     order = 980
     sensors = ("pressure",)
 
-    c: Scalar = parameter(0.0, 0.0, 1.0, "-", "a reading that stays at the end of the range has 1")
+    c: Scalar = parameter(
+        0.0, 0.0, 1.0, "-", "1 for a reading that stays at P", physical=(0.0, 1.0)
+    )
     """c, relative loss of the sensitivity beyond the range."""
     P: Scalar = shape_parameter(
         100e3, 20e3, 400e3, "Pa", "the ranges of common pressure sensors of such rigs"

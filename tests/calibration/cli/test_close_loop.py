@@ -1,5 +1,7 @@
 """Tests of the command `slider close-loop`, with a loop that is interrupted or ends at once."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -56,3 +58,38 @@ def test_an_interrupted_run_resumes_only_with_the_same_effect_file(tmp_path, int
     loop, lines = interrupted(path)
     assert loop.computed == 2
     assert "other effect files or with other content of these files" in lines[0]
+
+
+@pytest.mark.parametrize("at_floor", [True, False])
+def test_the_report_describes_the_outcome_after_learning(monkeypatch, at_floor):
+    """A function at the noise floor proposes the next trial, and no other trial is searched for."""
+    before, after = object(), object()
+    learning = SimpleNamespace(outcome=after, reaches_floor=at_floor)
+    written = {"status": "learned", "above_floor": [], "said": "F.", "test": "trial of F"}
+    if not at_floor:
+        written["above_floor"] = ["tip"]
+    searched = []
+
+    def following(outcome, progress):
+        searched.append(outcome)
+        return "another trial"
+
+    for name, result in {
+        "discrepancy.close_loop.close_loop_on_trials": lambda *_, **__: before,
+        "learning.learn.learn_terms": lambda outcome, _: learning if outcome is before else None,
+        "learning.report.learned_record": lambda *_: written,
+        "experiment_design.next_experiment.next_experiment": following,
+        "discrepancy.report.loop_record": lambda outcome, _, __, following: {
+            "outcome": outcome,
+            "said": "A.",
+            "verdict": "partly_explained",
+            "next_experiment": following,
+        },
+    }.items():
+        monkeypatch.setattr(f"calibration.{name}", result)
+    monkeypatch.setattr("slider_jax.io.files.input_file", lambda path: {})
+    outcome, record, _ = command._close_on_experiment(None, (), ["a.toml"], None, print, float)
+    assert outcome is record["outcome"] is after
+    assert searched == ([] if at_floor else [after])
+    expected = ("learned", "trial of F") if at_floor else ("partly_explained", "another trial")
+    assert (record["verdict"], record["next_experiment"]) == expected

@@ -115,22 +115,23 @@ def test_an_effect_that_leaves_a_residual_is_a_correction():
     turns = thrust["pattern"]["peak_Hz"] / thrust["where"]["frequency_Hz"]
     assert turns == pytest.approx(1.0 + 0.37 * 3, abs=0.1)
     assert record["residual"]["channels"]["p_front"]["pattern"] is None
-    assert record["said"].startswith("As a correction, the model contains: ")
+    assert record["said"].startswith("As a correction, the loop's model contains: ")
     assert "The residual is above the noise floor in thrust" in record["said"]
     assert "The model lacked" not in record["said"]
     assert "<td>provisional</td>" in page and 'name = "carried_mass"' in model
     assert record["errors"]["thrust"]["after"] < record["errors"]["thrust"]["before"]
 
 
-def test_effects_that_a_simpler_function_replaces_are_corrections_at_the_noise_floor():
-    outcome = conclusion((0.3, 0.25, 0.0, 0.0))
+def test_effects_that_a_function_can_replace_are_corrections_at_the_noise_floor():
+    outcome = conclusion((0.9, 0.25, 0.0, 0.0))
     assert outcome.verdict == "identified"
-    record, page, _ = report(replace(outcome, verdict="partly_explained", replaceable=True))
-    assert statuses(record) == {n: "provisional" for n in ("carried_mass", "chamber_mismatch")}
-    assert record["said"].startswith("As corrections, the model contains: ")
+    record, page, model = report(replace(outcome, verdict="learned", replaceable=True))
+    assert statuses(record) == {"carried_mass": "beyond_prior", "chamber_mismatch": "provisional"}
+    assert record["said"].startswith("As corrections, the loop's model contains: ")
     assert "because a learned function with fewer terms explains the data as well" in record["said"]
     assert "is not only noise" not in record["said"] and "The model lacked" not in record["said"]
-    assert page.count("<td>provisional</td>") == 2
+    assert page.count("<td>provisional</td>") == 1
+    assert "As corrections, the loop's model contains: " in " ".join(model.split("\n# "))
 
 
 def test_a_residual_below_the_floor_with_a_pattern_is_not_called_larger_than_noise():

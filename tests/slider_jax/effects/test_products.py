@@ -311,9 +311,9 @@ def test_the_error_of_a_sensor_has_corners(sensor):
         np.testing.assert_allclose(error, scale * CORNERS * (name in changed), atol=1e-12)
 
 
-def test_the_flow_follows_the_past_difference():
+def test_the_flow_follows_the_lagged_difference():
     """One unit of a parameter changes dp/dt by 3 MPa/s at a lagged difference of 250 kPa."""
-    term = DICTIONARY["flow_of_past_difference"](**FACTORS)
+    term = DICTIONARY["flow_of_lagged_difference"](**FACTORS)
     states = np.array([[250e3, 0.0], [0.0, 125e3], [0.0, -250e3]])
     x = chambers([100e3, -50e3], [200e3, -50e3], states)
     found = term.rate(jnp.array([1e6, 0.0]), x)
