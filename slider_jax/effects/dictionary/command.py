@@ -14,12 +14,15 @@ from slider_jax.effects.functions import (
     CubicDrift,
     Powers,
     even_powers,
+    mixed_powers,
     odd_corners,
     odd_powers,
 )
 
 DELAY = 2e-3
 """Delay [s] that one unit of a delay's parameters causes. The largest parameters add 40 ms."""
+GAIN = 0.1
+"""Relative change of the set pressure that one unit of a gain's parameters causes."""
 PRESSURE = 20e3
 """Pressure [Pa] that one unit of a term's parameters adds: a tenth of a typical pressure."""
 ITERATIONS = 3
@@ -55,6 +58,42 @@ class SetPressureDelayDrift(CubicDrift, Command):
 
     def command(self, wave, chamber):
         return Drifting(wave, self)
+
+
+class Scaled(Waveform):
+    """`wave` times a gain that changes slowly.
+
+    If `wave` is piecewise constant, the error of a segment is of second order in the step.
+    """
+
+    wave: Waveform
+    drift: CubicDrift
+
+    def segment(self, t0, t1):
+        x = self.wave.segment(t0, t1)
+        start, middle, end = (1.0 + GAIN * self.drift.at(t) for t in (x.t0, x.t_break, x.t1))
+        ends = start * x.a0, middle * x.a1, middle * x.b0, end * x.b1
+        return Segment(x.t0, x.t_break, x.t1, *ends)
+
+
+class SetPressureGainDrift(CubicDrift, Command):
+    """p_set,valve = (1 + g(t)) p_set, with a gain error g that is a function of the time t."""
+
+    title = "gain of the set pressure that drifts during a trial"
+    term_curve = Curve("time t", "s", "change of the gain divided by 0.1", "-")
+
+    def command(self, wave, chamber):
+        return Scaled(wave, self)
+
+
+class RearSetPressureGainDrift(CubicDrift, Command):
+    """The gain of the rear chamber's set pressure changes by a function of the time t."""
+
+    title = "gain of the rear chamber's set pressure that drifts during a trial"
+    term_curve = Curve("time t", "s", "change of the gain divided by 0.1", "-")
+
+    def command(self, wave, chamber):
+        return Scaled(wave, self) if chamber else wave
 
 
 class SetPressureTerm(Powers, Command):
@@ -106,3 +145,18 @@ class SetPressureWithCorners(SetPressureTerm):
 
     def basis(self, z):
         return odd_corners(z / self.scale, PRESSURE)
+
+
+class RearSetPressure(SetPressureTerm):
+    """The rear chamber's set pressure changes by a function f of the commanded set pressure.
+
+    f is a sum of p_set, |p_set| and p_set^2.
+    """
+
+    title = "error of the rear chamber's set pressure"
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale, PRESSURE)
+
+    def command(self, wave, chamber):
+        return super().command(wave, chamber) if chamber else wave

@@ -92,6 +92,21 @@ class FlowOfPressureWithCorners(PressureTerm):
         return odd_corners(z / self.scale, RATE)
 
 
+class RearFlowOfPressure(PressureTerm):
+    """dp/dt of the rear chamber changes by a function f of its pressure p.
+
+    f is a sum of p, |p| and p^2.
+    """
+
+    title = "flow into the rear chamber that depends on the pressure"
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale, RATE)
+
+    def factor(self, x):
+        return jnp.asarray(x.rear, float)
+
+
 class DifferenceTerm(FlowTerm):
     """A term whose function depends on the difference p_set - p."""
 
@@ -128,6 +143,21 @@ class FlowOfDifferenceBySide(OwnDifferenceTerm):
 
     def basis(self, z):
         return even_powers(z / self.scale, RATE)
+
+
+class RearFlowOfDifference(OwnDifferenceTerm):
+    """dp/dt of the rear chamber changes by a function f of its difference p_set - p.
+
+    f is a sum of the difference, its absolute value and its square.
+    """
+
+    title = "flow into the rear chamber that depends on the pressure difference"
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale, RATE)
+
+    def factor(self, x):
+        return jnp.asarray(x.rear, float)
 
 
 class FlowOfOtherDifference(DifferenceTerm):
@@ -321,6 +351,33 @@ class RearOpeningOfDifference(OpeningOfDifference):
     """1/k of the rear chamber changes by a function f of |p_front| - |p_rear|."""
 
     title = "valve of the rear chamber whose opening depends on the front chamber's pressure"
+
+    def acts(self, x):
+        return x.rear > 0
+
+
+class OpeningOfSum(OpeningTerm):
+    """1/k of one chamber changes by an even function f of the sum of both pressures."""
+
+    term_curve = Curve("sum |p_front + p_rear|", "Pa", "change of 1/k", "1/s")
+
+    def state(self, x):
+        return jnp.abs(x.p + other_chamber(x.p))
+
+
+class FrontOpeningOfSum(OpeningOfSum):
+    """1/k of the front chamber changes by a function f of |p_front + p_rear|."""
+
+    title = "valve of the front chamber whose opening depends on the sum of both pressures"
+
+    def acts(self, x):
+        return x.rear == 0
+
+
+class RearOpeningOfSum(OpeningOfSum):
+    """1/k of the rear chamber changes by a function f of |p_front + p_rear|."""
+
+    title = "valve of the rear chamber whose opening depends on the sum of both pressures"
 
     def acts(self, x):
         return x.rear > 0

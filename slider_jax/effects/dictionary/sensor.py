@@ -365,6 +365,36 @@ class PressureReadingPowersBySign(OfPressure, SensorEvenPowers):
     title = "nonlinearity of the pressure sensors that depends on the sign"
 
 
+class FrontPressureReading(OfPressure, OwnPowers):
+    """An error of the front pressure sensor that is a function f of the reading.
+
+    f is a sum of q, |q| and q^2. q is the reading divided by 100 kPa.
+    """
+
+    title = "error of the front pressure sensor"
+
+    def basis(self, z):
+        return mixed_powers(z / self.scale)
+
+    def read(self, true):
+        return super().read(true)._replace(p_rear=true.p_rear)
+
+
+class PressureReadingHysteresis(OfPressure, SensorHysteresis):
+    """A hysteresis of the pressure sensors."""
+
+    title = "hysteresis of the pressure sensors"
+
+
+class FrontPressureReadingHysteresis(OfPressure, SensorHysteresis):
+    """A hysteresis of the front pressure sensor."""
+
+    title = "hysteresis of the front pressure sensor"
+
+    def read(self, true):
+        return super().read(true)._replace(p_rear=true.p_rear)
+
+
 class PressureReadingDrift(OfPressure, SensorDrift):
     """A drift of the pressure sensors."""
 

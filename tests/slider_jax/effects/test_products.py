@@ -323,3 +323,57 @@ def test_the_flow_follows_the_lagged_difference():
     z = np.array([0.0, 0.3])
     step = [3e6 * (1.0 - np.exp(-z / tau)) for tau in (0.03, 0.3, 3.0)]
     np.testing.assert_allclose(term.basis(jnp.asarray(z)), step)
+
+
+def test_terms_of_one_chamber_leave_the_other_chamber_unchanged():
+    """Pressures of 50 and -100 kPa, differences of 150 and 50 kPa."""
+    x, rate = chambers([50e3, -100e3], [200e3, -50e3]), jnp.zeros(2)
+    mixed = (
+        0.1 * np.array([-0.5, 0.25]) + 0.2 * np.array([0.5, 0.25]) + 0.4 * np.array([0.25, 0.0625])
+    )
+    for name, value in (("pressure", mixed[0]), ("difference", mixed[1])):
+        found = DICTIONARY[f"rear_flow_of_{name}"](**FACTORS, scale=200e3).rate(rate, x)
+        np.testing.assert_allclose(found, [0.0, 3e6 * value])
+    even = 0.1 * 0.25 + 0.2 * 0.25**2 + 0.4 * 0.25**3
+    for name, expected in (("front", [150e3, 0.0]), ("rear", [0.0, 50e3])):
+        found = DICTIONARY[f"{name}_opening_of_sum"](**FACTORS, scale=200e3).rate(rate, x)
+        np.testing.assert_allclose(found, 12.5 * even * np.array(expected))
+
+
+def test_the_set_pressure_of_the_rear_chamber_changes():
+    wave = SquareWave(jnp.asarray(1.0), jnp.asarray(100e3))
+    term = DICTIONARY["rear_set_pressure"](**FACTORS, scale=200e3)
+    assert term.command(wave, 0) is wave
+    x = term.command(wave, 1).segment(jnp.asarray(0.4), jnp.asarray(0.6))
+    up, down = 0.05 + 0.1 + 0.1, -0.05 + 0.1 + 0.1
+    np.testing.assert_allclose([x.a0, x.b1], [100e3 + 20e3 * up, -100e3 + 20e3 * down])
+
+
+@pytest.mark.parametrize("name", ["set_pressure_gain_drift", "rear_set_pressure_gain_drift"])
+def test_the_gain_of_the_set_pressure_drifts(name):
+    """One unit of a parameter is a gain error of 10 %, at the end of the scale."""
+    wave = SquareWave(jnp.asarray(1.0), jnp.asarray(100e3))
+    term = DICTIONARY[name](**FACTORS, scale=2.0)
+    x = term.command(wave, 1).segment(jnp.asarray(0.4), jnp.asarray(0.6))
+    q = np.array([0.2, 0.25, 0.25, 0.3])
+    gain = 1.0 + 0.1 * (0.1 * q + 0.2 * q**2 + 0.4 * q**3)
+    signs = np.array([1.0, 1.0, -1.0, -1.0])
+    np.testing.assert_allclose([x.a0, x.a1, x.b0, x.b1], 100e3 * gain * signs)
+    assert (term.command(wave, 0) is wave) == name.startswith("rear")
+
+
+def test_the_front_pressure_sensor_has_its_own_error():
+    p = 100e3 * jnp.asarray(Z)
+    true = Readings(jnp.arange(5.0), *(5 * [p]))
+    read = DICTIONARY["front_pressure_reading"](**FACTORS, scale=1.0).read(true)
+    np.testing.assert_allclose(read.p_front - p, 100e3 * MIXED)
+    np.testing.assert_array_equal(read.p_rear, p)
+    both = DICTIONARY["pressure_reading_hysteresis"](**FACTORS).read(true)
+    front = DICTIONARY["front_pressure_reading_hysteresis"](**FACTORS).read(true)
+    np.testing.assert_array_equal(front.p_rear, p)
+    np.testing.assert_array_equal(front.p_front, both.p_front)
+    np.testing.assert_array_equal(both.p_front, both.p_rear)
+    step = 100e3 * sum(
+        f * (1.0 - np.exp(-0.5 / w)) for f, w in zip((0.1, 0.2, 0.4), (0.1, 0.3, 1.0), strict=True)
+    )
+    assert float(both.p_front[1] - p[1]) == pytest.approx(step, rel=1e-9)
