@@ -164,6 +164,11 @@ def odd_corners(z: Array, factor: float | Scalar = 1.0) -> Basis:
     return first, second, third
 
 
+def even_corners(z: Array, factor: float | Scalar = 1.0) -> Basis:
+    """Returns max(|z| - k, 0) with k = 1/4, 1/2 and 3/4, times `factor`, as `odd_corners`."""
+    return odd_corners(jnp.abs(z), factor)
+
+
 def waves(z: Array, factor: float = 1.0) -> Basis:
     """Returns cos(pi z), cos(2 pi z) and cos(3 pi z), times `factor`, for z limited to 0 to 1."""
     z = jnp.pi * jnp.clip(z, 0.0, 1.0)

@@ -13,6 +13,7 @@ from slider_jax.effects.functions import (
     Basis,
     LocalDrift,
     PartPowers,
+    even_corners,
     even_powers,
     magnitude,
     mixed_powers,
@@ -158,6 +159,19 @@ class MomentOfBodyBySide(MomentOfCurvatureTerm):
 
     def basis(self, z):
         return even_powers(z / self.scale, self.scale)
+
+
+class MomentOfBodyBySideWithCorners(MomentOfCurvatureTerm):
+    """M/EI is an even function of the curvature kappa in the body that has corners.
+
+    With an odd function, it describes a part that carries load on one side beyond a curvature.
+    """
+
+    title = "moment of the body that differs between the sides, with corners"
+    segments = ("body",)
+
+    def basis(self, z):
+        return even_corners(z / self.scale, self.scale)
 
 
 class MomentOfTailBySide(MomentOfCurvatureTerm):
@@ -471,6 +485,24 @@ class FrictionOfPressure(ChamberTerm):
     def moment(self, x, memory, dt):
         q = dahl_state(memory, x.kappa_t, dt, FRICTION_CURVATURE)
         return self.of_pressure(x) * q, q
+
+
+class FrictionOfCurvature(CurvatureTerm):
+    """M = EI f(|kappa|) q in the body, with the state q of dry friction of `FrictionOfPressure`.
+
+    f is a sum of |kappa|, kappa^2 and |kappa|^3.
+    """
+
+    title = "dry friction of the body that depends on the curvature"
+    segments = ("body",)
+    term_curve = Curve("curvature kappa", "1/m", "moment of friction M/EI", "1/m")
+
+    def basis(self, z):
+        return even_powers(z / self.scale, self.scale)
+
+    def moment(self, x, memory, dt):
+        q = dahl_state(memory, x.kappa_t, dt, FRICTION_CURVATURE)
+        return self.of_curvature(x) * q, q
 
 
 class StiffnessOfRecentBending(CurvatureTerm):

@@ -10,6 +10,7 @@ from slider_jax.effects.base import Chamber, Curve, Flow, Readings, shape_parame
 from slider_jax.effects.functions import (
     MEMORY_TIMES,
     Basis,
+    CubicDrift,
     Powers,
     even_powers,
     mixed_powers,
@@ -351,6 +352,42 @@ class RearOpeningOfDifference(OpeningOfDifference):
     """1/k of the rear chamber changes by a function f of |p_front| - |p_rear|."""
 
     title = "valve of the rear chamber whose opening depends on the front chamber's pressure"
+
+    def acts(self, x):
+        return x.rear > 0
+
+
+class OpeningDriftTerm(CubicDrift, Flow):
+    """1/k changes by a function f of the time t of the trial. The state of a chamber is t."""
+
+    states = 1
+    term_curve = Curve("time t", "s", "change of 1/k divided by 12.5 1/s", "-")
+
+    @abstractmethod
+    def acts(self, x: Chamber) -> Array:
+        """Returns whether f acts in the chambers."""
+
+    def rate(self, rate, x):
+        change = OPENING * self.at(x.states[0]) * (x.p_set - x.p)
+        return rate + jnp.where(self.acts(x), change, 0.0)
+
+    def state_rates(self, rate, x):
+        return jnp.ones_like(x.states)
+
+
+class OpeningDrift(OpeningDriftTerm):
+    """1/k of both chambers changes by a function of the time t."""
+
+    title = "valves whose opening drifts during a trial"
+
+    def acts(self, x):
+        return jnp.ones_like(x.filling)
+
+
+class RearOpeningDrift(OpeningDriftTerm):
+    """1/k of the rear chamber changes by a function of the time t."""
+
+    title = "valve of the rear chamber whose opening drifts during a trial"
 
     def acts(self, x):
         return x.rear > 0

@@ -25,6 +25,8 @@ from slider_jax.effects.functions import (
 SPEED, ACCELERATION, CURVATURE = 0.5, 10.0, 3.0
 """Lateral speed [m/s], lateral acceleration [m/s^2] and curvature [1/m] in a typical stride (5 Hz).
 The parameter of a term with a factor for each part is the force at the term's value of these."""
+ROTATION = 10.0
+"""Angular velocity [rad/s] of the tail in a typical stride at 5 Hz."""
 FORCE = 10.0
 """Force per length [N/m], about the drag of the crossflow at 0.5 m/s with C_d = 3."""
 WHY = "the drag of the crossflow at 0.5 m/s is 11 N/m with C_d = 3"
@@ -268,6 +270,49 @@ class NormalForceOfAngle(AngleTerm):
         return self.of_angle(x)
 
 
+class ChamberForceTerm(PartPowers, ForceTerm):
+    """A force on the body that depends on the pressure p of the chamber.
+
+    f is a sum of p, |p| and p^2.
+    """
+
+    scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", "the pressures of a soft robot")
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |p|."""
+
+    def state(self, x: Section) -> Array:
+        """Returns the pressure [Pa] of the chamber at each cell."""
+        return x.pressure
+
+    def basis(self, z: Array) -> Basis:
+        """Returns the basis functions at the pressure z [Pa]."""
+        return mixed_powers(z / self.scale, FORCE)
+
+    def of_pressure(self, x: Section) -> Array:
+        """Returns f on the body, and 0 on the tail."""
+        return self.cells(x) * self.total(self.basis(self.state(x)))
+
+
+class DragOfPressure(ChamberForceTerm):
+    """F_n = f(p) u_n |u_n| on the body, with u_n in units of `SPEED`."""
+
+    title = "drag of the body that depends on the pressure"
+    term_curve = Curve("pressure of the chamber", "Pa", "normal force F_n at 0.5 m/s", "N/m")
+
+    def amount(self, x):
+        return self.of_pressure(x) * quadratic(x.u_n)
+
+
+class AddedMassOfPressure(ChamberForceTerm):
+    """F_n = f(p) du_n/dt on the body, with the acceleration in units of `ACCELERATION`."""
+
+    title = "added mass of the body that depends on the pressure"
+    term_curve = Curve("pressure of the chamber", "Pa", "normal force F_n at 10 m/s^2", "N/m")
+
+    def amount(self, x):
+        return self.of_pressure(x) * x.u_n_t / ACCELERATION
+
+
 class NormalForceOfAxialVelocity(VelocityTerm):
     """F_n = f(u_tau) u_n, with u_n in units of `SPEED`.
 
@@ -299,6 +344,22 @@ class NormalForceOfAcceleration(FactorTerm):
 
     def basis(self, z):
         return z / ACCELERATION
+
+
+class NormalForceOfRotation(FactorTerm):
+    """F_n = a |u_n| omega, with u_n in units of `SPEED` and omega in units of `ROTATION`.
+
+    omega is the angular velocity. The force resists or supports the rotation of a section.
+    """
+
+    title = "normal force of the rotation"
+    term_curve = Curve("|u_n| omega", "m rad/s^2", "normal force F_n", "N/m")
+
+    def state(self, x):
+        return jnp.abs(x.u_n) * x.omega
+
+    def basis(self, z):
+        return z / (SPEED * ROTATION)
 
 
 class NormalForceOfCurvature(FactorTerm):

@@ -30,7 +30,7 @@ def test_terms_vanish_at_their_nulls_and_have_finite_tangents(name):
 
 
 def test_the_dictionary_is_no_part_of_the_library():
-    assert len(FILES) == 7 and len(DICTIONARY) == 136
+    assert len(FILES) == 7 and len(DICTIONARY) == 143
     assert not set(DICTIONARY) & (set(LIBRARY) | set(candidate_effects()))
 
 
@@ -97,7 +97,7 @@ def test_powers_are_constant_beyond_the_largest_visited_state():
         for kind in DICTIONARY.values()
         if issubclass(kind, Powers) and "scale" in kind.shapes()
     ]
-    assert len(scaled) == 96
+    assert len(scaled) == 102
     for term in scaled:
         ends = np.asarray(term.basis(term.scale * jnp.array([-3.0, -1.0, 1.0, 3.0])))
         np.testing.assert_allclose(ends[:, [0, 3]], ends[:, [1, 2]])

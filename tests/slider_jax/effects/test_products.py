@@ -24,7 +24,7 @@ BODY = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
 
 def section(**states):
     """A section of five cells; cells 3 and 4 are in the tail. EI is 0.04 N m^2."""
-    names = ("u_n", "u_n_t", "u_tau", "kappa", "kappa_t", "pressure", "phi", "s")
+    names = ("u_n", "u_n_t", "u_tau", "omega", "kappa", "kappa_t", "pressure", "phi", "s")
     rest = dict.fromkeys(names, jnp.zeros(5)) | {"EI": 0.04, "in_tail": jnp.asarray(1.0 - BODY)}
     return SimpleNamespace(**rest | {k: jnp.asarray(x) for k, x in states.items()})
 
@@ -377,3 +377,38 @@ def test_the_front_pressure_sensor_has_its_own_error():
         f * (1.0 - np.exp(-0.5 / w)) for f, w in zip((0.1, 0.2, 0.4), (0.1, 0.3, 1.0), strict=True)
     )
     assert float(both.p_front[1] - p[1]) == pytest.approx(step, rel=1e-9)
+
+
+@pytest.mark.parametrize(("name", "acts"), [("opening_drift", 1.0), ("rear_opening_drift", 0.0)])
+def test_the_opening_of_the_valves_drifts(name, acts):
+    """The state is the time; after half of the scale, 1/k has changed by 12.5 1/s times 0.15."""
+    x = chambers([50e3, -100e3], [200e3, -50e3], [[1.0, 1.0]])
+    term = DICTIONARY[name](**FACTORS, scale=2.0)
+    change = 12.5 * (0.05 + 0.05 + 0.05) * np.array([acts * 150e3, 50e3])
+    np.testing.assert_allclose(term.rate(jnp.zeros(2), x), change)
+    np.testing.assert_array_equal(term.state_rates(jnp.zeros(2), x), [[1.0, 1.0]])
+
+
+def test_forces_depend_on_the_pressure_and_on_the_rotation():
+    x = section(pressure=150e3 * Z, u_n=np.full(5, -1.0), u_n_t=np.full(5, 5.0))
+    np.testing.assert_allclose(force("drag_of_pressure", x, 150e3), 10.0 * MIXED * -4.0 * BODY)
+    np.testing.assert_allclose(force("added_mass_of_pressure", x, 150e3), 10.0 * MIXED * 0.5 * BODY)
+    x = section(u_n=np.full(5, -0.25), omega=20.0 * Z)
+    F_tau, F_n = DICTIONARY["normal_force_of_rotation"](body=3.0, tail=-2.0).force(x)
+    np.testing.assert_array_equal(F_tau, 0.0)
+    np.testing.assert_allclose(F_n, np.where(BODY > 0, 3.0, -2.0) * 0.5 * 2.0 * Z)
+
+
+def test_a_one_sided_moment_has_corners():
+    found = moment("moment_of_body_by_side_with_corners", section(kappa=2.0 * Z), 2.0)
+    np.testing.assert_allclose(found, 0.04 * 2.0 * np.abs(CORNERS) * BODY)
+
+
+def test_dry_friction_depends_on_the_curvature():
+    """After bending far, the state of dry friction is 1."""
+    x = section(kappa=2.0 * Z, kappa_t=np.full(5, 1e4))
+    term = DICTIONARY["friction_of_curvature"](**FACTORS, scale=2.0)
+    found, q = term.moment(x, jnp.zeros(5), 1.0)
+    np.testing.assert_allclose(q, 1.0, rtol=1e-3)
+    even = 0.1 * np.abs(Z) + 0.2 * Z**2 + 0.4 * np.abs(Z) ** 3
+    np.testing.assert_allclose(found, 0.04 * 2.0 * even * BODY * q)
