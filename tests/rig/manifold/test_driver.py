@@ -267,7 +267,8 @@ def test_a_waveform_is_uploaded_and_played_by_the_manifold():
         highest, end = 0, time.monotonic() + 0.4
         while time.monotonic() < end:
             manifold.heartbeat()
-            highest = max(highest, manifold.latest.channels[0])
+            if manifold.latest is not None:  # on a busy computer, the first status comes late
+                highest = max(highest, manifold.latest.channels[0])
             time.sleep(0.02)
         assert highest == pytest.approx(20_000, rel=0.01)
         assert device.core.set_pressures == (20_000, 0, 0, 10_000)

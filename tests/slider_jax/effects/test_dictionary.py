@@ -20,6 +20,7 @@ from slider_jax.simulation.trial import simulate_trial
 FILES = sorted(path.stem for path in Path(dictionary.__file__).parent.glob("[a-z]*.py"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_terms_vanish_at_their_nulls_and_have_finite_tangents(name):
     """`checked_effects` refuses a term that does not."""
