@@ -79,6 +79,9 @@ PAIRS = (
     ("chamber_mismatch", "tail_drag"), ("tail_rest_curvature", "leakage"),
     ("tip_mass", "side_lag"),
     ("pressure_sensor_lag", "head_drag"), ("supply_depletion", "lens_distortion"),
+    # Two effects of the same part of the rig, which a function may replace.
+    ("valve_delay", "fill_vent_asymmetry"), ("tail_stiffness", "material_damping"),
+    ("tank_current", "tail_drag"),
 )  # fmt: skip
 """Pairs of effects. The first effect of every fifth pair is beyond its prior range."""
 PAIR_SIZE, BEYOND = 5.0, 1.4
