@@ -79,7 +79,7 @@ PAIRS = (
     ("chamber_mismatch", "tail_drag"), ("tail_rest_curvature", "leakage"),
     ("tip_mass", "side_lag"),
     ("pressure_sensor_lag", "head_drag"), ("supply_depletion", "lens_distortion"),
-    # Two effects of the same part of the rig, which a function may replace.
+    # Two effects of the same part of the rig.
     ("valve_delay", "fill_vent_asymmetry"), ("tail_stiffness", "material_damping"),
     ("tank_current", "tail_drag"),
 )  # fmt: skip
