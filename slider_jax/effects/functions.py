@@ -218,6 +218,26 @@ class PartPowers(InPart, Powers):
     """A sum of three functions of a state in one part of the robot."""
 
 
+class ChamberPowers(PartPowers):
+    """A sum of three functions of the pressure of the chamber at a cell, in the body."""
+
+    scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", "the pressures of a soft robot")
+    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
+    the visited |p|."""
+
+    def state(self, x: Section) -> Array:
+        """Returns the pressure [Pa] of the chamber at each cell."""
+        return x.pressure
+
+    @abstractmethod
+    def basis(self, z: Array) -> Basis:
+        """Returns the basis functions at the pressure z [Pa]."""
+
+    def of_pressure(self, x: Section) -> Array:
+        """Returns the function of the pressure in the body, and 0 in the tail."""
+        return self.cells(x) * self.total(self.basis(self.state(x)))
+
+
 class Drift(eqx.Module):
     """A sum of two functions of the time t of the trial, multiplied by a and b."""
 

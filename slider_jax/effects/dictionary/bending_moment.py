@@ -11,6 +11,7 @@ from slider_jax.effects.base import BendingMoment, Curve, parameter, shape_param
 from slider_jax.effects.body.internal_friction import dahl_state
 from slider_jax.effects.functions import (
     Basis,
+    ChamberPowers,
     LocalDrift,
     PartPowers,
     even_corners,
@@ -302,26 +303,10 @@ class DampingOfBentTail(DampingTerm):
         return even_powers(z / self.scale, CURVATURE / RATE)
 
 
-class ChamberTerm(PartPowers, BendingMoment):
+class ChamberTerm(ChamberPowers, BendingMoment):
     """A moment that depends on a function of the pressure of the chamber."""
 
     segments = ("body",)
-
-    scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", "the pressures of a soft robot")
-    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
-    the visited |p|."""
-
-    def state(self, x: Section) -> Array:
-        """Returns the pressure [Pa] of the chamber at each cell."""
-        return x.pressure
-
-    @abstractmethod
-    def basis(self, z: Array) -> Basis:
-        """Returns the basis functions at the pressure z [Pa]."""
-
-    def of_pressure(self, x: Section) -> Array:
-        """Returns the function of the pressure in the body, and 0 in the tail."""
-        return self.cells(x) * self.total(self.basis(self.state(x)))
 
 
 class PressureMomentTerm(ChamberTerm):

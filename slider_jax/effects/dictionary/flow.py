@@ -53,6 +53,13 @@ class FlowTerm(Powers, Flow):
         return rate + self.factor(x) * self.total(self.basis(self.state(x)))
 
 
+class OfRearChamber:
+    """The rear chamber; a `FlowTerm` changes only its flow."""
+
+    def factor(self, x: Chamber) -> Array:
+        return jnp.asarray(x.rear, float)
+
+
 class PressureTerm(FlowTerm):
     """A term whose function depends on the pressure p."""
 
@@ -93,7 +100,7 @@ class FlowOfPressureWithCorners(PressureTerm):
         return odd_corners(z / self.scale, RATE)
 
 
-class RearFlowOfPressure(PressureTerm):
+class RearFlowOfPressure(OfRearChamber, PressureTerm):
     """dp/dt of the rear chamber changes by a function f of its pressure p.
 
     f is a sum of p, |p| and p^2.
@@ -103,9 +110,6 @@ class RearFlowOfPressure(PressureTerm):
 
     def basis(self, z):
         return mixed_powers(z / self.scale, RATE)
-
-    def factor(self, x):
-        return jnp.asarray(x.rear, float)
 
 
 class DifferenceTerm(FlowTerm):
@@ -146,7 +150,7 @@ class FlowOfDifferenceBySide(OwnDifferenceTerm):
         return even_powers(z / self.scale, RATE)
 
 
-class RearFlowOfDifference(OwnDifferenceTerm):
+class RearFlowOfDifference(OfRearChamber, OwnDifferenceTerm):
     """dp/dt of the rear chamber changes by a function f of its difference p_set - p.
 
     f is a sum of the difference, its absolute value and its square.
@@ -156,9 +160,6 @@ class RearFlowOfDifference(OwnDifferenceTerm):
 
     def basis(self, z):
         return mixed_powers(z / self.scale, RATE)
-
-    def factor(self, x):
-        return jnp.asarray(x.rear, float)
 
 
 class FlowOfOtherDifference(DifferenceTerm):

@@ -11,6 +11,7 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, ForceDensity, parameter, shape_parameter
 from slider_jax.effects.functions import (
     Basis,
+    ChamberPowers,
     LocalDrift,
     PartPowers,
     even_powers,
@@ -270,27 +271,14 @@ class NormalForceOfAngle(AngleTerm):
         return self.of_angle(x)
 
 
-class ChamberForceTerm(PartPowers, ForceTerm):
+class ChamberForceTerm(ChamberPowers, ForceTerm):
     """A force on the body that depends on the pressure p of the chamber.
 
     f is a sum of p, |p| and p^2.
     """
 
-    scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", "the pressures of a soft robot")
-    """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
-    the visited |p|."""
-
-    def state(self, x: Section) -> Array:
-        """Returns the pressure [Pa] of the chamber at each cell."""
-        return x.pressure
-
-    def basis(self, z: Array) -> Basis:
-        """Returns the basis functions at the pressure z [Pa]."""
+    def basis(self, z):
         return mixed_powers(z / self.scale, FORCE)
-
-    def of_pressure(self, x: Section) -> Array:
-        """Returns f on the body, and 0 on the tail."""
-        return self.cells(x) * self.total(self.basis(self.state(x)))
 
 
 class DragOfPressure(ChamberForceTerm):

@@ -81,6 +81,13 @@ class SensorTerm(Instrument):
         )
 
 
+class FrontSensorTerm(SensorTerm):
+    """A term of the pressure sensors that changes only the front pressure."""
+
+    def read(self, true):
+        return super().read(true)._replace(p_rear=true.p_rear)
+
+
 class OfPressure:
     """The sensors of the pressures."""
 
@@ -365,7 +372,7 @@ class PressureReadingPowersBySign(OfPressure, SensorEvenPowers):
     title = "nonlinearity of the pressure sensors that depends on the sign"
 
 
-class FrontPressureReading(OfPressure, OwnPowers):
+class FrontPressureReading(FrontSensorTerm, OfPressure, OwnPowers):
     """An error of the front pressure sensor that is a function f of the reading.
 
     f is a sum of q, |q| and q^2. q is the reading divided by 100 kPa.
@@ -376,9 +383,6 @@ class FrontPressureReading(OfPressure, OwnPowers):
     def basis(self, z):
         return mixed_powers(z / self.scale)
 
-    def read(self, true):
-        return super().read(true)._replace(p_rear=true.p_rear)
-
 
 class PressureReadingHysteresis(OfPressure, SensorHysteresis):
     """A hysteresis of the pressure sensors."""
@@ -386,13 +390,10 @@ class PressureReadingHysteresis(OfPressure, SensorHysteresis):
     title = "hysteresis of the pressure sensors"
 
 
-class FrontPressureReadingHysteresis(OfPressure, SensorHysteresis):
+class FrontPressureReadingHysteresis(FrontSensorTerm, OfPressure, SensorHysteresis):
     """A hysteresis of the front pressure sensor."""
 
     title = "hysteresis of the front pressure sensor"
-
-    def read(self, true):
-        return super().read(true)._replace(p_rear=true.p_rear)
 
 
 class PressureReadingDrift(OfPressure, SensorDrift):
