@@ -292,8 +292,9 @@ class Refits:
 
         The tangents at the null of an effect do not depend on the effect's shape parameters. The
         first fits therefore use the fixed values of `shape_starts`. The best of these fits is then
-        continued with free shape parameters. The result is the continued fit, or the fit with the
-        defaults if the free parameters gain less than `least_gain` requires. With the setting
+        continued with free shape parameters. If `judge` is false, it is not continued if another
+        start gains much more (`hopeless_share`). The result is the continued fit, or the fit with
+        the defaults if the free parameters gain less than `least_gain` requires. With the setting
         `complete_refits`, each result is a complete fit with free shape parameters.
         """
         if self.settings.complete_refits:
@@ -311,20 +312,35 @@ class Refits:
         fits = self.estimated(current, [x for _, x in lanes], tangents, judge)
         for (k, _), fit in zip(lanes, fits, strict=True):
             found[k].append(fit)
+        most = max((current.square - fit.square for fit in fits), default=0.0)
+        far = np.inf if judge else self.settings.hopeless_share * abs(most)
         more = []
         for k, x in enumerate(starts):
             best = min(found[k], key=lambda fit: fit.square)
-            if shapes[k] and best.square < FAILED:
-                here = (self.problem, self.entries, best.theta, x.free)
-                J = self.problem.whitened(reading_derivatives(*here), self.white)
+            near = most - (current.square - best.square) <= far
+            if shapes[k] and near and best.square < FAILED:
+                J = self._derivatives_of_added(current, best.theta, x.free, tangents)
                 if all(np.isfinite(x).all() for x in J.values()):
                     more.append((k, FitStart(best.theta, x.free, best.theta, J)))
-        most = max((current.square - fit.square for fit in fits), default=0.0)
         free = self.estimated(current, [x for _, x in more], tangents, judge, most)
         chosen = [each[0] for each in found]
         for (k, _), fit in zip(more, free, strict=True):
             chosen[k] = max(chosen[k], fit, key=lambda fit: self.surplus(current, fit))
         return chosen
+
+    def _derivatives_of_added(
+        self, current: Fit, theta: np.ndarray, free: np.ndarray, tangents: Tangents
+    ) -> Tangents:
+        """Returns whitened derivatives by the entries `free`, at `theta` for added entries.
+
+        For the entries of `current`, the result contains their `tangents` at `current`.
+        """
+        added = ~np.isin(free, current.free)
+        along = reading_derivatives(self.problem, self.entries, theta, free[added])
+        J = {key: x[free] for key, x in tangents.items()}
+        for key, x in self.problem.whitened(along, self.white).items():
+            J[key][added] = x
+        return J
 
     def _complete(self, current: Fit, start: FitStart, tangents: Tangents) -> Fit:
         """Returns the fit of all parameters of `start`, continued until it has nearly converged."""
@@ -417,10 +433,11 @@ class Refits:
         of the fit is `FAILED`.
 
         A fit without prospects ends early, without convergence: its expected gain is below the gain
-        of another fit of the same parameters. If `judge` is true, the first of these fits continues
-        to its end. If `judge` is false, a fit also ends if its expected gain is below the fraction
-        `contender_gain_share` of the largest gain of all these fits. `most` replaces the largest
-        gain if `most` is larger.
+        of another fit of the same parameters. After the first step, it must be far below this gain
+        (`hopeless_share`). If `judge` is true, the first of these fits ends early only if it is
+        also far below in absolute terms. If `judge` is false, a fit also ends if its expected gain
+        is below the fraction `contender_gain_share` of the largest gain of all these fits. `most`
+        replaces the largest gain if `most` is larger.
         """
         if not starts:
             return []
@@ -440,9 +457,10 @@ class Refits:
                 least = current.square - min(y.best.square for y in same)
                 if not judge:
                     least = max(least, self.settings.contender_gain_share * most)
-                elif x is same[0]:
-                    continue
-                x.done |= x.steps > 1 and current.square - x.expected < least
+                margin = self.settings.hopeless_share * abs(least) if x.steps == 1 else 0.0
+                if judge and x is same[0]:
+                    margin = max(margin, self.settings.hopeless_loss)
+                x.done |= current.square - x.expected < least - margin
             for x in active:
                 if x.done:  # frees the memory for the other fits
                     x.corrections, x.residuals = [], {}

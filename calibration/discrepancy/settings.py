@@ -98,6 +98,15 @@ class SelectionSettings:
     estimate_tolerance_share: float = 0.01
     """Such a refit also ends if the next step would change its gain or its loss by less than this
     fraction. If an effect or a term is judged by the refit, this applies only to a loss."""
+    hopeless_share: float = 0.5
+    """A refit on the coarse mesh ends after its first step if its expected gain is below the gain
+    of another fit by more than this fraction of that gain. Later steps need no such margin, because
+    their expected gains are more accurate. The same fraction decides whether a candidate is
+    refitted with free shape parameters."""
+    hopeless_loss: float = 200.0
+    """If an alternative is judged, its refit with default shape parameters ends early only if its
+    expected gain is below the gain with other shape parameters by more than this value, which is
+    ten times `min_gain`."""
     removal_loss_factor: float = 10.0
     """The loop predicts the increase of the sum of squares by the removal of an effect, in units of
     the residual's mean square. If the increase exceeds this multiple of `min_gain`, the loop keeps

@@ -36,12 +36,13 @@ MAX_ITERATIONS = 40
 KEPT_SHARE = 0.5
 """A step keeps the tangents if the sum of squares decreases by more than this fraction of the
 predicted decrease."""
-GAIN_TOLERANCE = 0.02
+GAIN_TOLERANCE = 0.05
 """A fit ends if the next step would lower the sum of squares by less than this multiple of the
-residual's mean square. The parameters are then within 1/7 standard error of the optimum."""
-INEXACT_GAIN_TOLERANCE = 0.1
-"""Replaces `GAIN_TOLERANCE` in fits that need not be exact. The parameters are then within 1/3
-standard error of the optimum. The tolerance is 0.5 % of the least gain for which the loop adds an
+residual's mean square. The parameters are then within 0.22 standard errors of the optimum. This
+distance increases the rms error of a parameter by 2.5 % at most."""
+INEXACT_GAIN_TOLERANCE = 0.5
+"""Replaces `GAIN_TOLERANCE` in fits that need not be exact. The parameters are then within 0.7
+standard errors of the optimum. The tolerance is 2.5 % of the least gain for which the loop adds an
 effect."""
 FEW, DIFFERENCE = 3, 1e-4
 """Finite differences replace tangents if at most one in `FEW` entries is free. One call computes
@@ -64,10 +65,9 @@ STALLED = 3
 predicted gain is above it. Without this limit, a fit of two nearly equal effects of the valves used
 all iterations. One such step is enough if its derivatives are new and its predicted gain is below
 `NEAR_GAIN` (or `INEXACT_NEAR_GAIN`): better steps need better derivatives."""
-POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
-"""If the residual's mean square exceeds `POOR_FIT`, the model lacks an effect. Such a fit converges
-slowly, and is repeated with the missing effect. `ROUGH_GAIN_TOLERANCE` therefore replaces
-`GAIN_TOLERANCE`, and the parameters are within 0.7 standard errors of the optimum."""
+POOR_FIT = 20.0
+"""If the residual's mean square exceeds this value, the model lacks an effect. Such a fit converges
+slowly, and is repeated with the missing effect. Therefore it need not be exact."""
 
 
 class Fit(NamedTuple):
@@ -201,8 +201,8 @@ def fit_gauss_newton(
         unit = max(1.0, square / max(samples, 1))
         step = linear_optimum(A, b, theta[free], bounds) - theta[free]
         expected = 2.0 * step @ b - step @ A @ step
-        least = GAIN_TOLERANCE if exact else INEXACT_GAIN_TOLERANCE
-        enough = unit * (least if unit < POOR_FIT else ROUGH_GAIN_TOLERANCE)
+        least = GAIN_TOLERANCE if exact and unit < POOR_FIT else INEXACT_GAIN_TOLERANCE
+        enough = unit * least
         enough = max(enough, least_decrease(square))
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
         moved = (theta - origin)[free]

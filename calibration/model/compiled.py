@@ -22,6 +22,10 @@ DIRECTIONS = 8
 """A call of a compiled program computes a multiple of this number of tangents."""
 MOST_DIRECTIONS = 64
 """Largest number of tangents that one call computes. 64 tangents take twice the time of eight."""
+LONG, FULL_SHARE = 20_000, 0.6
+"""A batch with an item of at least the length `LONG` is computed one item at a time if its items
+fill less than the fraction `FULL_SHARE` of it. A batch of four halves the time per item, but one
+more compiled program is only worth its time for long items."""
 MOST_VALUES = 2**24
 """Largest number of values that one operation on several series copies (128 MiB)."""
 
@@ -168,21 +172,27 @@ def in_batches(
     """Returns the result of `work` for each item, computed in batches of `size` on all cores.
 
     The items of one batch are of the same kind. The longest items come first. A batch that is not
-    full repeats its last item.
+    full repeats its last item, or is split into its items (`LONG`).
     """
     groups: dict[Hashable, list[int]] = {}
     for i in sorted(range(len(items)), key=lambda i: -lengths[i]):
         groups.setdefault(kinds[i], []).append(i)
-    jobs = [x[i : i + size] for x in groups.values() for i in range(0, len(x), size)]
-    jobs.sort(key=lambda job: -lengths[job[0]])
+    jobs: list[tuple[list[int], int]] = []
+    for batch in [x[i : i + size] for x in groups.values() for i in range(0, len(x), size)]:
+        longest = max(1, lengths[batch[0]])
+        share = sum(lengths[i] for i in batch) / (size * longest)
+        split = longest >= LONG and share < FULL_SHARE
+        jobs += [([i], 1) for i in batch] if split else [(batch, size)]
+    jobs.sort(key=lambda job: -lengths[job[0][0]])
 
-    def one(job: list[int]) -> list:
-        full = job + [job[-1]] * (size - len(job))
-        return work([items[i] for i in full])[: len(job)]
+    def one(job: tuple[list[int], int]) -> list:
+        batch, slots = job
+        full = batch + [batch[-1]] * (slots - len(batch))
+        return work([items[i] for i in full])[: len(batch)]
 
     found: dict[int, Any] = {}
-    for job, results in zip(jobs, on_all_cores(one, jobs), strict=True):
-        found |= dict(zip(job, results, strict=True))
+    for (batch, _), results in zip(jobs, on_all_cores(one, jobs), strict=True):
+        found |= dict(zip(batch, results, strict=True))
     return [found[i] for i in range(len(items))]
 
 

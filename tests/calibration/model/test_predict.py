@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.model.compiled import in_batches
+from calibration.model.compiled import LONG, in_batches
 from calibration.model.extended import Part, acting_part, base_values, base_vector, model_parameters
 from calibration.model.plan import Resolution, plan_trial
 from calibration.model.predict import predict_each, predict_readings, pressure_histories
@@ -88,6 +88,27 @@ def test_batches_hold_items_of_one_kind_and_keep_the_order():
 
     assert in_batches(work, [1, 2, 3, 4, 5], "abaaa", [1, 2, 3, 4, 5], 3) == [10, 20, 30, 40, 50]
     assert sorted(seen) == [(1, 1, 1), (2, 2, 2), (5, 4, 3)]
+
+
+@pytest.mark.parametrize(
+    ("lengths", "batches"),
+    [
+        ([LONG, 100, 100], [(1,), (2,), (3,)]),
+        ([LONG], [(1,)]),
+        ([LONG, LONG, LONG], [(1, 2, 3, 3)]),
+        ([LONG - 1, 100], [(1, 2, 2, 2)]),
+    ],
+)
+def test_a_batch_with_few_long_items_is_computed_one_item_at_a_time(lengths, batches):
+    seen = []
+
+    def work(batch):
+        seen.append(tuple(batch))
+        return [10 * x for x in batch]
+
+    items = list(range(1, len(lengths) + 1))
+    assert in_batches(work, items, "a" * len(items), lengths, 4) == [10 * x for x in items]
+    assert sorted(seen) == batches
 
 
 def test_trials_of_different_lengths_in_one_batch_have_the_readings_of_single_trials():
