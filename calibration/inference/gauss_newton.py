@@ -36,10 +36,9 @@ MAX_ITERATIONS = 40
 KEPT_SHARE = 0.5
 """A step keeps the tangents if the sum of squares decreases by more than this fraction of the
 predicted decrease."""
-GAIN_TOLERANCE = 0.05
+GAIN_TOLERANCE = 0.02
 """A fit ends if the next step would lower the sum of squares by less than this multiple of the
-residual's mean square. The parameters are then within 0.22 standard errors of the optimum. This
-distance increases the rms error of a parameter by 2.5 % at most."""
+residual's mean square. The parameters are then within 1/7 standard error of the optimum."""
 INEXACT_GAIN_TOLERANCE = 0.5
 """Replaces `GAIN_TOLERANCE` in fits that need not be exact. The parameters are then within 0.7
 standard errors of the optimum. The tolerance is 2.5 % of the least gain for which the loop adds an
