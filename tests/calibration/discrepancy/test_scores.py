@@ -154,7 +154,15 @@ def test_trials_agree_if_several_gain_much_and_none_loses_much(gains, agreed):
     assert agreement(log_gains, np.array(gains)).agreed() is agreed
 
 
-@pytest.mark.parametrize(("trials", "most"), [(2, 0.015), (3, 0.035), (4, 0.025), (8, 0.015)])
+@pytest.mark.parametrize(
+    ("trials", "most"),
+    [
+        (2, 0.015),
+        (3, 0.035),
+        pytest.param(4, 0.025, marks=pytest.mark.slow),
+        pytest.param(8, 0.015, marks=pytest.mark.slow),
+    ],
+)
 def test_few_absent_effects_are_confirmed_with_any_number_of_trials(trials, most):
     """The stated chances are 1.0, 2.5 and 1.7 % with two, three and four trials."""
     rng, confirmed, cases = np.random.default_rng(trials), 0, 1000

@@ -61,6 +61,7 @@ def test_the_spans_of_the_tip_equal_the_difference_of_simulated_swings(tmp_path,
     assert np.abs(found - expected).max() < 0.02 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_a_released_body_swings_at_about_the_modes_frequency(tmp_path):
     """The body has no drive, and quadratic drag hardly damps a small swing."""
     _, p = planned(tmp_path, **{"trials.0.amplitude": 0.0, "trials.0.frequency": 1.0})

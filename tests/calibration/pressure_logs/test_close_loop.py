@@ -105,6 +105,7 @@ def test_the_alternative_effect_is_refitted_and_has_a_larger_residual(outcome):
     assert all(t.fit.square > 3.0 * best.fit.square for t in tried.values())
 
 
+@pytest.mark.slow
 def test_a_resumed_run_gives_the_result_of_an_uninterrupted_one(outcome, logs):
     again = close_loop_on_logs(logs, NAMES)
     np.testing.assert_array_equal(again.final.theta, outcome.final.theta)

@@ -83,7 +83,12 @@ def test_the_regulator_controls_the_reading_of_the_converter():
 
 
 @pytest.mark.parametrize(
-    "effect", [GasHeating(0.2, 0.05), ChamberSwing(5e-7, 4.0, 0.2), RegulatorIntegral(90.0)]
+    "effect",
+    [
+        GasHeating(0.2, 0.05),
+        pytest.param(ChamberSwing(5e-7, 4.0, 0.2), marks=pytest.mark.slow),
+        pytest.param(RegulatorIntegral(90.0), marks=pytest.mark.slow),
+    ],
 )
 def test_derivatives_reach_the_parameters_through_the_states(effect):
     leaves, structure = jax.tree.flatten(effect)

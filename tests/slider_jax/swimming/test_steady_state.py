@@ -40,7 +40,7 @@ swim = jax.jit(
 )
 
 
-@pytest.mark.parametrize("name", GAITS)
+@pytest.mark.parametrize("name", [pytest.param("optimum", marks=pytest.mark.slow), "5 Hz", "slow"])
 def test_the_root_is_where_a_long_swim_from_rest_ends(name):
     model, f = made(GAITS[name]), jnp.asarray(GAITS[name].frequency)
     found, long = search(model, f), swim(model, f)
