@@ -37,6 +37,9 @@ from slider_jax.experiment.schema import Trial
 
 MAX_REPEATS = 12
 """Largest number of repetitions of the new trial for which the distance is predicted."""
+HOPELESS = 1e-4
+"""The search ends early if, after each of the first new trials, the distance is below this fraction
+of the naming threshold. Such models are equal in all trials, except for rounding errors."""
 
 
 class ModelDistance(NamedTuple):
@@ -117,7 +120,8 @@ def discriminating_trial(
         far = np.mean(np.minimum(found, 1.0)) + 1e-2 * np.mean(found / (1.0 + found))
         return float(far) - 2.0 * (needed(channels) or MAX_REPEATS + 1)
 
-    best = TrialSearch(models, goal, limits).run(effort, progress)
+    hopeless = HOPELESS - 2.0 * (MAX_REPEATS + 1)
+    best = TrialSearch(models, goal, limits, hopeless).run(effort, progress)
     times = needed(best.channels)
     now, then, at_last = (after(best.channels, n) for n in (0, 1, times or MAX_REPEATS))
     alternatives = list(predictions)

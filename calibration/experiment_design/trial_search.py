@@ -29,6 +29,8 @@ WIDENING = 0.1
 """By default, the search may go beyond the range of the experiment's trials by this fraction. For
 the quantities in `LOGARITHMIC`, this is a fraction of the value at the end of the range. For the
 other quantities, this is a fraction of the width of the range."""
+FIRST = 4
+"""Number of evenly spread trials after which a search without prospects ends."""
 LOGARITHMIC = ("frequency", "amplitude")  # quantities that the search spaces logarithmically
 QUANTITIES = ("frequency", "amplitude", "phase", "tow_speed")
 
@@ -132,6 +134,8 @@ class TrialSearch:
     predictions: Sequence[TrialInformation]
     goal: Callable[[list[list[ChannelInformation]]], float]
     limits: TrialLimits
+    hopeless: float = -np.inf
+    """The search ends after the first `FIRST` trials if no value of the goal is above this one."""
 
     def at(self, point: np.ndarray) -> PredictedTrial:
         """Returns the trial at a point (4,) with coordinates from 0 to 1 within the limits."""
@@ -152,7 +156,12 @@ class TrialSearch:
         wide = np.array([high > low for low, high in self.limits])
         spread = qmc.Halton(4, scramble=False).fast_forward(1).random(effort.spread)
         points = [np.where(wide, u, 0.0) for u in spread]
-        best, point = self._best(points, progress)
+        best, point = self._best(points[:FIRST], progress)
+        if -np.inf < best.value <= self.hopeless:
+            return best
+        if points[FIRST:]:
+            more = self._best(points[FIRST:], progress)
+            best, point = max((best, point), more, key=lambda pair: pair[0].value)
         progress(f"best of {effort.spread} evenly spread trials: {trial_text(best.trial)}")
         step = 0.25
         for _ in range(effort.rounds):

@@ -26,7 +26,7 @@ from calibration.experiment_design.information import (
     information,
 )
 from calibration.experiment_design.next_experiment import next_experiment
-from calibration.experiment_design.trial_search import SearchEffort, limits_of
+from calibration.experiment_design.trial_search import FIRST, SearchEffort, limits_of
 from calibration.inference.gauss_newton import Fit, reading_derivatives
 from calibration.inference.goodness import Excess
 from calibration.inference.problem import TankProblem
@@ -141,9 +141,10 @@ def test_a_trial_that_leaves_a_part_of_a_class_names_this_part(tank):
 def test_a_class_that_no_trial_makes_smaller_is_reported(tank):
     theta = tank[2].copy()
     theta[MASS] = 0.1  # the alternative has the same readings
-    found = class_outcome(tank, fitted(tank, theta, np.concatenate([FREE, FLUID])))
-    record = next_experiment(found, effort=FEW)
+    found, said = class_outcome(tank, fitted(tank, theta, np.concatenate([FREE, FLUID]))), []
+    record = next_experiment(found, said.append, effort=SearchEffort(spread=2 * FIRST, rounds=1))
     assert record["times"] is None and f"run {MAX_REPEATS} times" in record["said"]
+    assert sum(text.startswith("trial ") for text in said) == FIRST, "equal models need few trials"
 
 
 def test_a_class_without_fitted_alternatives_proposes_no_trial(tank):
