@@ -128,10 +128,17 @@ class MemoryCache:
     results: dict[bytes, list[np.ndarray]] = field(default_factory=dict)
 
     def cached(self, name, arrays, make):
-        key = name.encode() + b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)
+        key = self.key(name, arrays)
         if key not in self.results:
             self.results[key] = make()
         return self.results[key]
+
+    def contains(self, name, arrays):
+        return self.key(name, arrays) in self.results
+
+    @staticmethod
+    def key(name, arrays):
+        return name.encode() + b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)
 
 
 def trials_of(kind: str) -> int:

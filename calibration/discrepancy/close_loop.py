@@ -381,7 +381,9 @@ def conclude(
     white = all_trials.whiteners(all_trials.predict(result.final.theta))
 
     def refit(x: Fit, ranges: Sequence[Parameter]) -> Fit:
-        return fit_gauss_newton(all_trials, ranges, x.theta, x.free, progress, white)
+        return fit_gauss_newton(
+            all_trials, ranges, x.theta, x.free, progress, white, linearised_at=x.linearised_at
+        )
 
     final = widen_ranges(result, refit(result.final, result.entries), refit)
     final = fix_undetermined_shapes(result, final, refit)

@@ -15,6 +15,7 @@ from calibration.inference.gauss_newton import (
     BroydenCorrection,
     Fit,
     broyden_correction,
+    derivatives_of_fit,
     fit_gauss_newton,
     inverse,
     linear_optimum,
@@ -50,16 +51,65 @@ def effect_tangents(
     finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
     tangential = [i for i in scored if i not in finite]
     found, unit = list[np.ndarray](), np.eye(len(theta))
-    channels = [row_of(c) for c in problem.channels]
     along = list(problem.tangents(theta, unit[tangential]))
-    finite_rows = [np.isfinite(x[:, c]).all(axis=1) for x in along for c in channels]
-    failed = ~np.all(finite_rows, axis=0)
     for r in problem.records:
-        x = np.zeros((len(theta), *r.values.shape), np.float32)
-        x[tangential] = along.pop(0)  # frees the memory of a trial before the next one
-        x[np.array(tangential)[failed]] = 0.0
-        found.append(x)
-    size = {i: entries[i].prior.start - entries[i].prior.null for i in finite}
+        found.append(np.zeros((len(theta), *r.values.shape), np.float32))
+    _set_rows(found, tangential, along, problem)
+    _set_secants(found, finite, theta, problem, entries, settings)
+    return found
+
+
+def renewed_tangents(
+    last: list[np.ndarray],
+    problem: AbstractProblem,
+    entries: Sequence[Parameter],
+    current: Fit,
+    near: Sequence[str],
+    settings: SelectionSettings = DEFAULT_SETTINGS,
+) -> list[np.ndarray]:
+    """Returns `last`, the tangents at another fit, with new rows for the fit `current`.
+
+    The new rows are those of the free parameters and of the effects `near`. They are finite
+    differences, which take less time than tangents if they are few. `last` is changed.
+    """
+    groups, theta, free = scoring_entries(entries), current.theta, current.free
+    own = [int(i) for name in near for i in groups[name] if i not in free]
+    finite = [i for i in own if entries[i].prior.start is not None]
+    rest = np.array([i for i in own if i not in finite], int)
+    _set_rows(last, free, derivatives_of_fit(problem, entries, current), problem)
+    if len(rest):
+        _set_rows(last, rest, reading_derivatives(problem, entries, theta, rest), problem)
+    _set_secants(last, finite, theta, problem, entries, settings)
+    return last
+
+
+def _set_rows(
+    found: list[np.ndarray],
+    rows: Sequence[int] | np.ndarray,
+    along: Sequence[np.ndarray],
+    problem: AbstractProblem,
+) -> None:
+    """Sets `rows` of the arrays `found` to the derivatives `along`, or to zero if not finite."""
+    channels, along = [row_of(c) for c in problem.channels], list(along)
+    finite = [np.isfinite(x[:, c]).all(axis=1) for x in along for c in channels]
+    failed = ~np.all(finite, axis=0)
+    for x in found:
+        x[rows] = along.pop(0)  # frees the memory of a trial before the next one
+        x[np.asarray(rows)[failed]] = 0.0
+
+
+def _set_secants(
+    found: list[np.ndarray],
+    rows: Sequence[int],
+    theta: np.ndarray,
+    problem: AbstractProblem,
+    entries: Sequence[Parameter],
+    settings: SelectionSettings,
+) -> None:
+    """Sets `rows` of the arrays `found` to secants from the null to the start of a parameter."""
+    channels, unit = [row_of(c) for c in problem.channels], np.eye(len(theta))
+    priors = {i: entries[i].prior for i in rows}
+    size = {i: p.start - p.null for i, p in priors.items() if p.start is not None}
     for _ in range(settings.max_halvings):
         if not size:
             break
@@ -72,7 +122,6 @@ def effect_tangents(
                 del size[i]
             else:
                 size[i] *= 0.5
-    return found
 
 
 def initial_theta(
@@ -258,6 +307,7 @@ class Refits:
         free: np.ndarray,
         exact: bool = False,
         least_decrease: Callable[[float], float] = lambda square: 0.0,
+        linearised_at: np.ndarray | None = None,
     ) -> Fit:
         """Returns the fit of the parameters `free` (indices) that starts at `theta`.
 
@@ -265,7 +315,7 @@ class Refits:
         """
         return fit_gauss_newton(
             self.problem, self.entries, theta, free, self.progress, self.white, exact,
-            least_decrease,
+            least_decrease, linearised_at,
         )  # fmt: skip
 
     def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:

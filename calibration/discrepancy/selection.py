@@ -40,6 +40,7 @@ from calibration.discrepancy.refits import (
     effect_tangents,
     initial_theta,
     kept_tangents,
+    renewed_tangents,
 )
 from calibration.discrepancy.rounds import (
     Refit,
@@ -111,7 +112,8 @@ def _with_measured_discrepancies(refits: Refits, found: Selection) -> Refits:
     found.discrepancies = {c: min(x.used, before[c]) for c, x in found.measured.items()}
     problem = refits.problem.with_discrepancies(found.discrepancies)
     refits = replace(refits, problem=problem, white=problem.whiteners(found.final.predicted))
-    found.final = refits.fit(found.final.theta, found.final.free)
+    final = found.final
+    found.final = refits.fit(final.theta, final.free, linearised_at=final.linearised_at)
     return refits
 
 
@@ -152,10 +154,17 @@ def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
         if not rest:
             break
         refits.progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
-        round_ = _distant(refits, found.final, rest, tangents)
-        if round_ is None:
+        raw, near = None, list[str]()
+        if tangents is not None:
+            scores, _ = _scores(refits, found.final, rest, tangents.white)
+            limit = settings.distant_gain_share * settings.min_gain
+            near = [s.name for s in scores if s.gain >= limit]
+            raw = tangents.raw if len(near) <= settings.most_near else None
+        if tangents is not None and not near:
+            round_ = SelectionStep(scores)
+        else:
             tangents = None  # frees the memory before new tangents are computed
-            round_, tangents = _round(refits, found.final, rest)
+            round_, tangents = _round(refits, found.final, rest, raw, near)
         found.rounds.append(round_)
         if round_.chosen is None:
             break
@@ -207,28 +216,24 @@ def _scores(
     return sorted(scores, key=lambda s: -s.gain), blocks
 
 
-def _distant(
-    refits: Refits, current: Fit, rest: Sequence[str], last: ScoringTangents | None
-) -> SelectionStep | None:
-    """Returns a round without an effect if all gains are far below the naming threshold.
-
-    The scores use the tangents `last` of the round before. Returns None if a candidate has a larger
-    gain, or if there are no such tangents: the round then needs new tangents.
-    """
-    if last is None:
-        return None
-    scores, _ = _scores(refits, current, rest, last.white)
-    limit = refits.settings.distant_gain_share * refits.settings.min_gain
-    return SelectionStep(scores) if scores[0].gain < limit else None
-
-
 def _round(
-    refits: Refits, current: Fit, rest: Sequence[str]
+    refits: Refits,
+    current: Fit,
+    rest: Sequence[str],
+    last: list[np.ndarray] | None = None,
+    near: Sequence[str] = (),
 ) -> tuple[SelectionStep, ScoringTangents]:
-    """Returns a round of the selection and the tangents of its scores."""
+    """Returns a round of the selection and the tangents of its scores.
+
+    If the tangents `last` of the round before are given, only those of the effects `near` and of
+    the fitted parameters are computed again.
+    """
     problem, entries, progress = refits.problem, refits.entries, refits.progress
     settings, scored = refits.settings, scoring_entries(refits.entries)
-    tangents = effect_tangents(problem, entries, current.theta, current.free, settings)
+    if last is None:
+        tangents = effect_tangents(problem, entries, current.theta, current.free, settings)
+    else:
+        tangents = renewed_tangents(last, problem, entries, current, near, settings)
     J = problem.whitened(tangents, refits.white)
     scores, blocks = _scores(refits, current, rest, J)
     round_, candidates, starts = SelectionStep(scores), [], []

@@ -39,6 +39,9 @@ class SelectionSettings:
     """A round first scores the candidates with the tangents of the round before. If every gain is
     below this fraction of `min_gain`, the selection ends. Without this rule, most selections would
     end with a computation of new tangents, which is their longest computation."""
+    most_near: int = 12
+    """If at most this number of candidates has a larger gain, only their tangents are computed for
+    the round. All other candidates keep the tangents of the round before."""
     visible_share: float = 1e-3
     """Cross-validation omits the trials that a candidate hardly changes. A trial is used if its sum
     of squared changes is at least this fraction of the largest such sum of any trial."""

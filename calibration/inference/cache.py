@@ -27,10 +27,7 @@ class Memo:
         self, name: str, arrays: Sequence[np.ndarray], make: Callable[[], list[np.ndarray]]
     ) -> list[np.ndarray]:
         """Returns the cached result for `name` and `arrays`, or stores and returns `make()`."""
-        digest = hashlib.sha256(name.encode())
-        for array in arrays:
-            digest.update(np.ascontiguousarray(array).tobytes())
-        path = self.folder / f"{digest.hexdigest()}.npz"
+        path = self._path(name, arrays)
         try:
             with path.open("rb") as file, np.load(file) as found:
                 return [found[f"arr_{i}"] for i in range(len(found.files))]
@@ -40,6 +37,16 @@ class Memo:
         with replacing(path) as temporary:
             np.savez(temporary, *made)
         return made
+
+    def contains(self, name: str, arrays: Sequence[np.ndarray]) -> bool:
+        """Returns whether there is a file for `name` and `arrays`; it may be damaged."""
+        return self._path(name, arrays).exists()
+
+    def _path(self, name: str, arrays: Sequence[np.ndarray]) -> Path:
+        digest = hashlib.sha256(name.encode())
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return self.folder / f"{digest.hexdigest()}.npz"
 
 
 def cached(

@@ -171,6 +171,7 @@ def fit_gauss_newton(
     white: dict[tuple[int, str], Whitener] | None = None,
     exact: bool = True,
     least_decrease: Callable[[float], float] = lambda square: 0.0,
+    linearised_at: np.ndarray | None = None,
 ) -> Fit:
     """Returns the fit of the entries `free` (indices) of `theta`; the other entries are fixed.
 
@@ -180,7 +181,8 @@ def fit_gauss_newton(
     whiteners of the residuals (default: computed from the readings at the start). Only fits with
     the same whiteners have comparable sums of squares. If `exact` is false, the fit ends
     earlier, and it may end with tangents from differences and Broyden's formula. The fit also ends
-    if the predicted decrease of the sum of squares S is below `least_decrease(S)`.
+    if the predicted decrease of the sum of squares S is below `least_decrease(S)`. If the problem's
+    cache contains derivatives at parameters `linearised_at` near `theta`, the fit starts with them.
     """
     bounds = Bounds.of([entries[i] for i in free])
     predicted = problem.predict(theta)
@@ -191,8 +193,9 @@ def fit_gauss_newton(
     J, fresh, origin, stalled, near_end = None, True, theta, 0, None
     for iteration in range(MAX_ITERATIONS):
         if J is None:
-            J = problem.whitened(reading_derivatives(problem, entries, theta, free), white)
-            fresh, origin = True, theta
+            at = theta if iteration or linearised_at is None else linearised_at
+            J = problem.whitened(reading_derivatives(problem, entries, at, free), white)
+            fresh, origin = bool(np.array_equal(at, theta)), at
         blocks = normal_equations(residuals, J)
         A, b = summed(blocks)
         if not (np.isfinite(A).all() and np.isfinite(b).all()):
@@ -201,14 +204,13 @@ def fit_gauss_newton(
         step = linear_optimum(A, b, theta[free], bounds) - theta[free]
         expected = 2.0 * step @ b - step @ A @ step
         least = GAIN_TOLERANCE if exact and unit < POOR_FIT else INEXACT_GAIN_TOLERANCE
-        enough = unit * least
-        enough = max(enough, least_decrease(square))
+        enough = max(unit * least, least_decrease(square))
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
         moved = (theta - origin)[free]
         recent = fresh or moved @ A @ moved < FRESH_DISTANCE**2 * unit
         if abs(expected) < enough:
             if recent or not exact:
-                converged, near_end = True, origin if exact else None
+                converged, near_end = True, origin
                 break
             J = None
             continue
@@ -228,7 +230,7 @@ def fit_gauss_newton(
                 continue
             error = np.sqrt(unit * np.diag(inverse(A)))
             converged = bool(np.all(np.abs(step) < error))
-            near_end = origin if exact else None
+            near_end = origin
             break
         gained = square - total(found)
         stalled = stalled + 1 if gained < enough else 0

@@ -360,6 +360,35 @@ class TankProblem(AbstractProblem):
             ),
         )
 
+    def predict(self, theta: np.ndarray) -> list[np.ndarray]:
+        return self._cached_each("predict", [theta], lambda part: part._predict(theta))
+
+    def coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+        return self._cached_each("coarse", thetas, lambda part: part._coarse(thetas))
+
+    def _cached_each(
+        self,
+        kind: str,
+        arrays: Sequence[np.ndarray],
+        make: Callable[["TankProblem"], list[np.ndarray]],
+    ) -> list[np.ndarray]:
+        """Returns `make(self)`; each trial has a cache of its own, for problems of other trials."""
+        memo = self.memo
+        if memo is None or self.maps is not None:
+            return make(self)
+        names = [f"{kind} {r.trial.file}" for r in self.records]
+        missing = [i for i, name in enumerate(names) if not memo.contains(name, arrays)]
+        made = dict(zip(missing, make(self.part(missing)) if missing else [], strict=True))
+
+        def one(i: int) -> np.ndarray:
+            own = made.pop(i, None)
+            (found,) = memo.cached(
+                names[i], arrays, lambda: make(self.part([i])) if own is None else [own]
+            )
+            return found
+
+        return [one(i) for i in range(len(names))]
+
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
         return self.predict_each(self._own(theta))
 

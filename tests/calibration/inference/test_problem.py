@@ -1,9 +1,12 @@
 """Problems of measured trials: which channels count."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from calibration.discrepancy.refits import Refits
 from calibration.inference import problem
+from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import TankProblem, normal_equations
 from calibration.measurements.records import Record
@@ -93,3 +96,28 @@ def test_normal_equations_of_single_precision_derivatives_have_double_precision(
     (parts,) = normal_equations({(0, "tip"): r}, {(0, "tip"): J})
     np.testing.assert_allclose(parts.A, found.A, rtol=1e-13)
     np.testing.assert_allclose(parts.b, found.b, rtol=1e-9)
+
+
+def test_problems_of_different_trials_share_the_cache_of_each_trial(monkeypatch, tmp_path):
+    simulated = []
+
+    def predict_each(pairs):
+        simulated.extend(plan.trial.file for plan, _ in pairs)
+        return [tank.predict(*pair) for pair in pairs]
+
+    monkeypatch.setattr(problem, "predict_each", predict_each)
+    theta = np.array([3.0, 0.7, 0.08, 4.5e-7])
+    experiment = tank.experiment_of((1.5, 1.8, 2.2))
+    plain = tank.problem_of(experiment, tank.measured(experiment, [theta] * 3, 0))
+    expected = plain.predict(theta), plain.coarse([theta, 1.01 * theta])
+    simulated.clear()
+    cached = replace(plain, memo=Memo(tmp_path))
+    cached.part([2, 0]).predict(theta)
+    assert simulated == ["trial_02.csv", "trial_00.csv"]
+    found = cached.predict(theta), cached.coarse([theta, 1.01 * theta])
+    assert simulated[2:] == ["trial_01.csv"] + [f"trial_0{i // 2}.csv" for i in range(6)]
+    for each, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(each, other)
+    for path in tmp_path.iterdir():
+        path.write_bytes(b"damaged")
+    np.testing.assert_array_equal(cached.predict(theta), expected[0])
