@@ -50,11 +50,11 @@ def effect_tangents(
     scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
     finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
     tangential = [i for i in scored if i not in finite]
-    found, unit = list[np.ndarray](), np.eye(len(theta))
-    along = list(problem.tangents(theta, unit[tangential]))
-    for r in problem.records:
-        found.append(np.zeros((len(theta), *r.values.shape), np.float32))
-    _set_rows(found, tangential, along, problem)
+    shapes = [(len(theta), *r.values.shape) for r in problem.records]
+    found = [np.zeros(shape, np.float32) for shape in shapes]
+    unit = np.eye(len(theta))
+    # No variable holds the tangents, so that `_set_rows` can free them.
+    _set_rows(found, tangential, [*problem.tangents(theta, unit[tangential])], problem)
     _set_secants(found, finite, theta, problem, entries, settings)
     return found
 
@@ -76,9 +76,9 @@ def renewed_tangents(
     own = [int(i) for name in near for i in groups[name] if i not in free]
     finite = [i for i in own if entries[i].prior.start is not None]
     rest = np.array([i for i in own if i not in finite], int)
-    _set_rows(last, free, derivatives_of_fit(problem, entries, current), problem)
+    _set_rows(last, free, [*derivatives_of_fit(problem, entries, current)], problem)
     if len(rest):
-        _set_rows(last, rest, reading_derivatives(problem, entries, theta, rest), problem)
+        _set_rows(last, rest, [*reading_derivatives(problem, entries, theta, rest)], problem)
     _set_secants(last, finite, theta, problem, entries, settings)
     return last
 
@@ -86,11 +86,14 @@ def renewed_tangents(
 def _set_rows(
     found: list[np.ndarray],
     rows: Sequence[int] | np.ndarray,
-    along: Sequence[np.ndarray],
+    along: list[np.ndarray],
     problem: AbstractProblem,
 ) -> None:
-    """Sets `rows` of the arrays `found` to the derivatives `along`, or to zero if not finite."""
-    channels, along = [row_of(c) for c in problem.channels], list(along)
+    """Sets `rows` of the arrays `found` to the derivatives `along`, or to zero if not finite.
+
+    The list `along` is empty afterwards.
+    """
+    channels = [row_of(c) for c in problem.channels]
     finite = [np.isfinite(x[:, c]).all(axis=1) for x in along for c in channels]
     failed = ~np.all(finite, axis=0)
     for x in found:
