@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from calibration.model.stored_programs import stored_program
+from calibration.model.stored_programs import return_freed_memory, stored_program
 from slider_jax.batch.chunks import available_cores
 
 MOST_MAPS = 40_000
@@ -65,6 +65,7 @@ def compiled_once(function, stored: bool = False):
             kept = stored_program(function, arguments) if stored else None
             program, found = (jitted, jitted(*arguments)) if kept is None else kept
             ready[key] = program
+            return_freed_memory()
         return found
 
     return call

@@ -101,6 +101,12 @@ def _limit_memory_pools() -> None:
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, MEMORY_POOLS)
 
 
+def return_freed_memory() -> None:
+    """Returns memory that the compiler freed to the operating system, with GNU libc."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 def _version() -> str:
     return source_digest()[:16]
 
