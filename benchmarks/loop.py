@@ -128,13 +128,17 @@ class MemoryCache:
     results: dict[bytes, list[np.ndarray]] = field(default_factory=dict)
 
     def cached(self, name, arrays, make):
-        key = self.key(name, arrays)
-        if key not in self.results:
-            self.results[key] = make()
-        return self.results[key]
+        found = self.load(name, arrays)
+        if found is None:
+            found = make()
+            self.store(name, arrays, found)
+        return found
 
-    def contains(self, name, arrays):
-        return self.key(name, arrays) in self.results
+    def load(self, name, arrays):
+        return self.results.get(self.key(name, arrays))
+
+    def store(self, name, arrays, made):
+        self.results[self.key(name, arrays)] = made
 
     @staticmethod
     def key(name, arrays):

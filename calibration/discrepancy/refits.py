@@ -372,28 +372,28 @@ class Refits:
             best = min(found[k], key=lambda fit: fit.square)
             near = most - (current.square - best.square) <= far
             if shapes[k] and near and best.square < FAILED:
-                J = self._derivatives_of_added(current, best.theta, x.free, tangents)
+                added = ~np.isin(x.free, current.free)
+                kept, own = x.free[~added], x.free[added]
+                along = reading_derivatives(self.problem, self.entries, best.theta, own)
+                J = self._joined(tangents, kept, along)
                 if all(np.isfinite(x).all() for x in J.values()):
-                    more.append((k, FitStart(best.theta, x.free, best.theta, J)))
-        free = self.estimated(current, [x for _, x in more], tangents, judge, most)
+                    free = np.concatenate([kept, own])
+                    more.append((k, FitStart(best.theta, free, best.theta, J)))
+        freed = self.estimated(current, [x for _, x in more], tangents, judge, most)
         chosen = [each[0] for each in found]
-        for (k, _), fit in zip(more, free, strict=True):
+        for (k, _), fit in zip(more, freed, strict=True):
             chosen[k] = max(chosen[k], fit, key=lambda fit: self.surplus(current, fit))
         return chosen
 
-    def _derivatives_of_added(
-        self, current: Fit, theta: np.ndarray, free: np.ndarray, tangents: Tangents
-    ) -> Tangents:
-        """Returns whitened derivatives by the entries `free`, at `theta` for added entries.
+    def _joined(self, tangents: Tangents, kept: np.ndarray, along: list[np.ndarray]) -> Tangents:
+        """Returns the rows `kept` of whitened `tangents`, then the derivatives `along`, whitened.
 
-        For the entries of `current`, the result contains their `tangents` at `current`.
+        The result has the precision of `tangents`.
         """
-        added = ~np.isin(free, current.free)
-        along = reading_derivatives(self.problem, self.entries, theta, free[added])
-        J = {key: x[free] for key, x in tangents.items()}
-        for key, x in self.problem.whitened(along, self.white).items():
-            J[key][added] = x
-        return J
+        white = self.problem.whitened(along, self.white)
+        return {
+            key: np.concatenate([x[kept], white[key]], dtype=x.dtype) for key, x in tangents.items()
+        }
 
     def _complete(self, current: Fit, start: FitStart, tangents: Tangents) -> Fit:
         """Returns the fit of all parameters of `start`, continued until it has nearly converged."""
@@ -452,8 +452,7 @@ class Refits:
         found: list[tuple[float, int, np.ndarray]] = []
         for lane in lanes:
             more = self.problem.tangents(lane, np.eye(len(lane))[own])
-            white = self.problem.whitened(more, self.white)
-            J = {key: np.concatenate([x[kept], white[key]]) for key, x in tangents.items()}
+            J = self._joined(tangents, kept, more)
             A, b = summed(normal_equations(residuals, J))
             step = np.zeros(len(lane))
             if np.isfinite(A).all() and np.isfinite(b).all():
@@ -512,7 +511,8 @@ class Refits:
                     least = max(least, self.settings.contender_gain_share * most)
                 margin = self.settings.hopeless_share * abs(least) if x.steps == 1 else 0.0
                 if judge and x is same[0]:
-                    margin = max(margin, self.settings.hopeless_loss)
+                    factor = self.settings.removal_loss_factor
+                    margin = max(margin, factor * self.settings.min_gain)
                 x.done |= current.square - x.expected < least - margin
             for x in active:
                 if x.done:  # frees the memory for the other fits

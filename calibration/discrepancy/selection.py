@@ -154,17 +154,18 @@ def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
         if not rest:
             break
         refits.progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
-        raw, near = None, list[str]()
-        if tangents is not None:
+        if tangents is None:
+            round_, tangents = _round(refits, found.final, rest)
+        else:
             scores, _ = _scores(refits, found.final, rest, tangents.white)
             limit = settings.distant_gain_share * settings.min_gain
             near = [s.name for s in scores if s.gain >= limit]
-            raw = tangents.raw if len(near) <= settings.most_near else None
-        if tangents is not None and not near:
-            round_ = SelectionStep(scores)
-        else:
-            tangents = None  # frees the memory before new tangents are computed
-            round_, tangents = _round(refits, found.final, rest, raw, near)
+            if near:
+                raw = tangents.raw if len(near) <= settings.most_near else None
+                tangents = None  # frees the memory before new tangents are computed
+                round_, tangents = _round(refits, found.final, rest, raw, near)
+            else:
+                round_ = SelectionStep(scores)
         found.rounds.append(round_)
         if round_.chosen is None:
             break

@@ -106,15 +106,11 @@ class SelectionSettings:
     of another fit by more than this fraction of that gain. Later steps need no such margin, because
     their expected gains are more accurate. The same fraction decides whether a candidate is
     refitted with free shape parameters."""
-    hopeless_loss: float = 200.0
-    """If an alternative is judged, its refit with default shape parameters ends early only if its
-    expected gain is below the gain with other shape parameters by more than this value, which is
-    ten times `min_gain`."""
     removal_loss_factor: float = 10.0
     """The loop predicts the increase of the sum of squares by the removal of an effect, in units of
     the residual's mean square. If the increase exceeds this multiple of `min_gain`, the loop keeps
     the effect without a refit. The same factor applies to the loss by the default of a shape
-    parameter."""
+    parameter, and ends the refit of a judged alternative with defaults early."""
 
     parallel_cosine: float = 0.95
     """Two effects are equivalent if |cos| between their tangents exceeds this value."""

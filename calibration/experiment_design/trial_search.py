@@ -156,11 +156,12 @@ class TrialSearch:
         wide = np.array([high > low for low, high in self.limits])
         spread = qmc.Halton(4, scramble=False).fast_forward(1).random(effort.spread)
         points = [np.where(wide, u, 0.0) for u in spread]
-        best, point = self._best(points[:FIRST], progress)
+        first = FIRST if np.isfinite(self.hopeless) else effort.spread
+        best, point = self._best(points[:first], progress)
         if -np.inf < best.value <= self.hopeless:
             return best
-        if points[FIRST:]:
-            more = self._best(points[FIRST:], progress)
+        if points[first:]:
+            more = self._best(points[first:], progress)
             best, point = max((best, point), more, key=lambda pair: pair[0].value)
         progress(f"best of {effort.spread} evenly spread trials: {trial_text(best.trial)}")
         step = 0.25

@@ -27,20 +27,24 @@ class Memo:
         self, name: str, arrays: Sequence[np.ndarray], make: Callable[[], list[np.ndarray]]
     ) -> list[np.ndarray]:
         """Returns the cached result for `name` and `arrays`, or stores and returns `make()`."""
-        path = self._path(name, arrays)
+        found = self.load(name, arrays)
+        if found is None:
+            found = make()
+            self.store(name, arrays, found)
+        return found
+
+    def load(self, name: str, arrays: Sequence[np.ndarray]) -> list[np.ndarray] | None:
+        """Returns the cached result, or None if there is no file or if it is damaged."""
         try:
-            with path.open("rb") as file, np.load(file) as found:
+            with self._path(name, arrays).open("rb") as file, np.load(file) as found:
                 return [found[f"arr_{i}"] for i in range(len(found.files))]
         except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-            pass
-        made = make()
-        with replacing(path) as temporary:
-            np.savez(temporary, *made)
-        return made
+            return None
 
-    def contains(self, name: str, arrays: Sequence[np.ndarray]) -> bool:
-        """Returns whether there is a file for `name` and `arrays`; it may be damaged."""
-        return self._path(name, arrays).exists()
+    def store(self, name: str, arrays: Sequence[np.ndarray], made: Sequence[np.ndarray]) -> None:
+        """Stores the result `made` for `name` and `arrays`."""
+        with replacing(self._path(name, arrays)) as temporary:
+            np.savez(temporary, *made)
 
     def _path(self, name: str, arrays: Sequence[np.ndarray]) -> Path:
         digest = hashlib.sha256(name.encode())

@@ -377,17 +377,13 @@ class TankProblem(AbstractProblem):
         if memo is None or self.maps is not None:
             return make(self)
         names = [f"{kind} {r.trial.file}" for r in self.records]
-        missing = [i for i, name in enumerate(names) if not memo.contains(name, arrays)]
-        made = dict(zip(missing, make(self.part(missing)) if missing else [], strict=True))
-
-        def one(i: int) -> np.ndarray:
-            own = made.pop(i, None)
-            (found,) = memo.cached(
-                names[i], arrays, lambda: make(self.part([i])) if own is None else [own]
-            )
-            return found
-
-        return [one(i) for i in range(len(names))]
+        found = {i: x for i, name in enumerate(names) if (x := memo.load(name, arrays))}
+        missing = [i for i in range(len(names)) if i not in found]
+        if missing:
+            for i, made in zip(missing, make(self.part(missing)), strict=True):
+                found[i] = [made]
+                memo.store(names[i], arrays, found[i])
+        return [found[i][0] for i in range(len(names))]
 
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
         return self.predict_each(self._own(theta))

@@ -32,8 +32,6 @@ from slider_jax.io.files import effect_files, read_with_digest, versions, write_
 
 FOLDER = "slider_jax_programs"
 """Name of the folder in the folder of JAX's cache."""
-M_ARENA_MAX, MEMORY_POOLS = -8, 4
-"""Number of the parameter in `mallopt` of GNU libc, and the number of memory pools."""
 UNUSED_DAYS = 14.0
 """Programs of source files that no command used for this time [days] are deleted."""
 _VERSION = re.compile(r"[0-9a-f]{16}")
@@ -60,8 +58,6 @@ def kept_programs() -> Iterator[None]:
             age = time.time() - other.stat().st_mtime
             if _VERSION.fullmatch(other.name) and age > 86400.0 * UNUSED_DAYS:
                 shutil.rmtree(other, ignore_errors=True)
-        if not any(folder.iterdir()):
-            _limit_memory_pools()
     _folders.append(folder)
     try:
         yield
@@ -87,23 +83,12 @@ def _cache_hits() -> int:
     return getattr(_hits, "count", 0)
 
 
-def _limit_memory_pools() -> None:
-    """Limits the number of memory pools of GNU libc, unless the user has set `MALLOC_ARENA_MAX`.
-
-    By default, there are up to eight pools per core, and a pool keeps memory that was freed. On two
-    cores, a `slider close-loop` that compiles its programs needs 2.3 GB with the default, and
-    1.9 GB with four pools. The threads wait for each other more often, so a run that compiles
-    nothing keeps the default.
-    """
-    if "MALLOC_ARENA_MAX" in os.environ:
-        return
-    with suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).mallopt(M_ARENA_MAX, MEMORY_POOLS)
-
-
 def return_freed_memory() -> None:
-    """Returns memory that the compiler freed to the operating system, with GNU libc."""
-    with suppress(OSError, AttributeError):
+    """Returns memory that the compiler freed to the operating system.
+
+    GNU libc keeps it otherwise. With another C library, this function does nothing.
+    """
+    with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
 
 
@@ -150,6 +135,7 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callab
 
         before = _cache_hits()
         compiled = jax.jit(flat).lower(*leaves).compile()
+        return_freed_memory()
         if _cache_hits() == before and _version() == folders[-1].name:
             _store(path, compiled, outs[0])
         found = compiled, outs[0], compiled(*leaves)

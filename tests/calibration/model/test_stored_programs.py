@@ -27,7 +27,6 @@ def folder(tmp_path, monkeypatch):
     before = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     TRACED.clear()
-    monkeypatch.setattr(stored_programs, "_limit_memory_pools", lambda: None)
     yield tmp_path / stored_programs.FOLDER
     jax.config.update("jax_compilation_cache_dir", before)
 
