@@ -373,7 +373,7 @@ def learned_record(learning: Learning, true: Mapping[str, np.ndarray]) -> dict[s
     )
     return {
         "reason": "",
-        "terms": model.terms,
+        "terms": [*model.terms, *model.fine_parts],
         "place": learning.places[0].place,
         "equal_places": learning.equal_places,
         "reaches_floor": learning.reaches_floor,
@@ -404,7 +404,7 @@ def main() -> None:
     part, parts = map(int, arguments.part.split("/"))
     prepare_jax()
     candidates = candidate_effects()
-    for name in ("unknown", "fresh", "blind", "unseen", "novel", "further"):
+    for name in ("unknown", "fresh", "blind", "unseen", "novel", "further", "common"):
         load_effects(Path(__file__).parent / f"{name}_effects.py")
     for what in arguments.what:
         if what == "table":

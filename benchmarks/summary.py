@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from blind_effects import BLIND_EFFECTS
+from common_effects import COMMON_EFFECTS
 from fresh_effects import FRESH_EFFECTS
 from further_effects import FURTHER_EFFECTS
 from novel_effects import NOVEL_EFFECTS
@@ -25,6 +26,7 @@ LACKING = {
     "unseen": UNSEEN_EFFECTS,
     "novel": NOVEL_EFFECTS,
     "further": FURTHER_EFFECTS,
+    "common": COMMON_EFFECTS,
 }
 """Effects that the library lacks, by kind of case."""
 SAME_LAW = {

@@ -9,6 +9,7 @@ from calibration.discrepancy.ranges import at_edge
 from calibration.discrepancy.rounds import Selection
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.goodness import Excess
+from slider_jax.channels import CHANNELS
 
 NOTHING, IDENTIFIED, CLASS = "nothing_missing", "identified", "class"
 PARTLY, UNEXPLAINED, INCONCLUSIVE = "partly_explained", "unexplained", "inconclusive"
@@ -26,7 +27,7 @@ class EffectStatus(NamedTuple):
     equivalent: list[str]
     """Effects that these data cannot discriminate from the effect."""
     above_floor: list[str]
-    """Channels that the effect changes and whose residual is above the noise floor."""
+    """Channels above the noise floor that the effect changes or that its own channels depend on."""
     beyond: list[int]
     """Parameters (indices of the entries) with a value outside the declared prior range."""
 
@@ -54,7 +55,9 @@ def judge_effects(
 
     `theta` are the parameters of the final model, and `after` are its residual mean squares. An
     effect is provisional if the residual of a channel that it changes is above the noise floor, if
-    the final fit did not converge, or if the effects are `replaceable` by a learned function.
+    the final fit did not converge, or if the effects are `replaceable` by a learned function. An
+    effect that changes only forces and motion is also provisional if a pressure is above the noise
+    floor, because it may correct what the wrong pressure causes.
     """
     left, found = channels_above_floor(after, search.settings), []
     for round_ in search.rounds:
@@ -62,12 +65,22 @@ def judge_effects(
         if name is None or name not in search.effects:
             continue
         sizes = next(t.sizes for t in round_.refitted if t.name == name)
-        above = [c for c in left if sizes.get(c, 0.0) > search.discrepancies[c]]
+        changed = [c for c, x in sizes.items() if x > search.discrepancies[c]]
+        above = [c for c in left if c in changed or (_is_pressure(c) and _is_driven(changed))]
         beyond = parameters_beyond_prior(search, theta, name)
         doubtful = bool(above) or replaceable or not search.final.converged
         status = _status(round_.equivalent, beyond, doubtful)
         found.append(EffectStatus(name, status, round_.equivalent, above, beyond))
     return found
+
+
+def _is_pressure(channel: str) -> bool:
+    return CHANNELS[channel].kind == "pressure"
+
+
+def _is_driven(changed: Collection[str]) -> bool:
+    """Returns whether the channels are driven by the pressures, and contain no pressure."""
+    return bool(changed) and not any(_is_pressure(c) for c in changed)
 
 
 def _status(equivalent: list[str], beyond: list[int], doubtful: bool) -> str:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.inference.cache import Memo, cached
+from calibration.inference.cache import Memo, cached, cached_each
 from calibration.inference.gauss_newton import difference_step, takes_differences
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.measurements.records import Record, load_records
@@ -184,30 +184,31 @@ class TrialInformation:
         If there is a second model, its readings follow. k is 0 if the simulation fails. Differences
         replace the tangents along few directions.
         """
-        others = [] if self.other is None else [self.other]
-
-        def make() -> list[np.ndarray]:
-            if takes_differences(self.theta, self.chosen) and not self.secants:
-                found, J = self._differences(p, others)
-                return [found[0], J, *found[1:]]
-            y, *other = (predict_readings(p, x) for x in (self.theta, *others))
-            finite = np.isfinite(y).all()
-            return [y, self._tangents(p, y) if finite else np.zeros((0, *y.shape)), *other]
-
-        steps = np.array(sorted(self.secants.items()), float)
         name = f"foresee {trial.model_dump_json()} {self.effects} {self.coarse}"
-        return cached(self.memo, name, [self.theta, self.chosen, steps, *others], make)
+        others = [] if self.other is None else [self.other]
+        if takes_differences(self.theta, self.chosen) and not self.secants:
+            pairs = zip(self.chosen, self.entries, strict=True)
+            steps = np.array([difference_step(x, self.theta[i]) for i, x in pairs])
+            moved = self.theta + steps[:, None] * np.eye(len(self.theta))[self.chosen]
+            y, *rest = self._predictions(name, p, [self.theta, *others, *moved])
+            J = (np.stack(rest[len(others) :]) - y) / steps[:, None, None]
+            return [y, J, *rest[: len(others)]]
+        y, *other = self._predictions(name, p, [self.theta, *others])
+        if not np.isfinite(y).all():
+            return [y, np.zeros((0, *y.shape)), *other]
+        secants = np.array(sorted(self.secants.items()), float)
+        arrays = [self.theta, self.chosen, secants]
+        found = cached(self.memo, f"{name} tangents", arrays, lambda: [self._tangents(p, y)])
+        return [y, found[0], *other]
 
-    def _differences(
-        self, p: TrialPlan, others: Sequence[np.ndarray]
-    ) -> tuple[list[np.ndarray], np.ndarray]:
-        """Returns the readings (channels, n) of all models, and derivatives (k, channels, n)."""
-        pairs = zip(self.chosen, self.entries, strict=True)
-        steps = np.array([difference_step(x, self.theta[i]) for i, x in pairs])
-        moved = self.theta + steps[:, None] * np.eye(len(self.theta))[self.chosen]
-        found = predict_each([(p, x) for x in (self.theta, *others, *moved)])
-        models = 1 + len(others)
-        return found[:models], (np.stack(found[models:]) - found[0]) / steps[:, None, None]
+    def _predictions(
+        self, name: str, p: TrialPlan, thetas: Sequence[np.ndarray]
+    ) -> list[np.ndarray]:
+        """Returns the readings with each of `thetas`."""
+        keys = [(name, [x]) for x in thetas]
+        return cached_each(
+            self.memo, keys, lambda missing: predict_each([(p, thetas[i]) for i in missing])
+        )
 
     def _tangents(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
         """Returns tangents or secants (k, channels, n); NaN where the simulation fails."""

@@ -60,6 +60,30 @@ def cached(
     return make() if memo is None else memo.cached(name, arrays, make)
 
 
+def cached_each(
+    memo: Memo | None,
+    keys: Sequence[tuple[str, Sequence[np.ndarray]]],
+    make: Callable[[list[int]], list[np.ndarray]],
+) -> list[np.ndarray]:
+    """Returns an array for each (name, arrays) in `keys`; each has a cache entry of its own.
+
+    `make(missing)` computes the arrays that the cache does not contain, from their positions in
+    `keys`.
+    """
+    found: dict[int, np.ndarray] = {}
+    for i, key in enumerate(keys):
+        stored = None if memo is None else memo.load(*key)
+        if stored is not None:
+            found[i] = stored[0]
+    missing = [i for i in range(len(keys)) if i not in found]
+    if missing:
+        for i, made in zip(missing, make(missing), strict=True):
+            found[i] = made
+            if memo is not None:
+                memo.store(*keys[i], [made])
+    return [found[i] for i in range(len(keys))]
+
+
 def _digest(content: Any) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 

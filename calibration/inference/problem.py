@@ -16,7 +16,7 @@ from typing import NamedTuple, Self, final
 
 import numpy as np
 
-from calibration.inference.cache import Memo, cached
+from calibration.inference.cache import Memo, cached, cached_each
 from calibration.inference.measured_noise import ChannelNoise
 from calibration.inference.noise import (
     Noise,
@@ -373,17 +373,10 @@ class TankProblem(AbstractProblem):
         make: Callable[["TankProblem"], list[np.ndarray]],
     ) -> list[np.ndarray]:
         """Returns `make(self)`; each trial has a cache of its own, for problems of other trials."""
-        memo = self.memo
-        if memo is None or self.maps is not None:
+        if self.memo is None or self.maps is not None:
             return make(self)
-        names = [f"{kind} {r.trial.file}" for r in self.records]
-        found = {i: x for i, name in enumerate(names) if (x := memo.load(name, arrays))}
-        missing = [i for i in range(len(names)) if i not in found]
-        if missing:
-            for i, made in zip(missing, make(self.part(missing)), strict=True):
-                found[i] = [made]
-                memo.store(names[i], arrays, found[i])
-        return [found[i][0] for i in range(len(names))]
+        keys = [(f"{kind} {r.trial.file}", arrays) for r in self.records]
+        return cached_each(self.memo, keys, lambda missing: make(self.part(missing)))
 
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
         return self.predict_each(self._own(theta))

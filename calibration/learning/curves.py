@@ -12,14 +12,15 @@ from calibration.inference.uncertainty import EFFECT_DISCREPANCY, correlations
 from calibration.learning.learn import Learning
 from calibration.learning.states import RARE, visited_states
 from slider_jax.effects import Curve
-from slider_jax.effects.library import DICTIONARY
+from slider_jax.effects.dictionary.details import FINE_PARTS
+from slider_jax.effects.library import KNOWN_EFFECTS
 
 POINTS = 41
 """Number of states in a table."""
 
 
 class LearnedCurve(NamedTuple):
-    """A table of one term's function."""
+    """A table of one term's function, including its fine part."""
 
     term: str
     part: str
@@ -44,22 +45,28 @@ def learned_curves(learning: Learning) -> list[LearnedCurve]:
     models = [jax.tree.map(jnp.asarray, p.extended.at(theta)) for p in problem.coarse_plans]
     covariance = correlations(fit) * np.outer(fit.errors, fit.errors)
     values = {
-        n: {p.name: theta[i] for i, p in enumerate(entries) if p.effect == n} for n in learned.terms
+        n: {p.name: theta[i] for i, p in enumerate(entries) if p.effect == n}
+        for n in (*learned.terms, *learned.fine_parts)
     }
-    terms: dict[str, Any] = {n: DICTIONARY[n](**own) for n, own in values.items()}
+    terms: dict[str, Any] = {n: KNOWN_EFFECTS[n](**values[n]) for n in learned.terms}
     each = [
         visited_states(p, model, y, terms)
         for p, model, y in zip(problem.coarse_plans, models, fit.predicted, strict=True)
     ]
     found = []
     for name, effect in terms.items():
-        kind, group, visited = type(effect), scoring_entries(entries)[name], [x[name] for x in each]
+        kind, groups, visited = type(effect), scoring_entries(entries), [x[name] for x in each]
+        parts, group = [effect], groups[name]
+        fine = FINE_PARTS[name] if name in FINE_PARTS else None
+        if fine is not None and fine.name() in learned.fine_parts:
+            parts.append(fine(**values[fine.name()]))
+            group = np.concatenate([group, groups[fine.name()]])
         place = np.array([int(np.flatnonzero(fit.free == i)[0]) for i in group])
         for part in visited[0]:
             z = np.concatenate([x[part] for x in visited])
             low, high = np.quantile(z[np.isfinite(z)], [RARE, 1.0 - RARE])
             state = np.linspace(low, high, POINTS)
-            basis = np.asarray(effect.basis(jnp.asarray(state)))
+            basis = np.concatenate([np.asarray(x.basis(jnp.asarray(state))) for x in parts])
             chosen = np.array([list(kind.priors()).index(part)]) if part else slice(None)
             basis, rows = basis.reshape(-1, POINTS), place[chosen]
             value = fit.theta[group[chosen]] @ basis

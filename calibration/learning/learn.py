@@ -32,12 +32,14 @@ from calibration.learning.pursuit import (
     Stability,
     halves,
     place_gains,
+    required_gain,
     stability,
 )
 from calibration.learning.states import OF_CHAMBERS, largest_states
-from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
+from calibration.model.extended import BASE, Parameter, base_values, base_vector, model_parameters
 from calibration.model.plan import TrialPlan
 from slider_jax.effects import Effect
+from slider_jax.effects.dictionary.details import DETAILS, FINE_PARTS, REAR_PARTS
 from slider_jax.effects.dictionary.sensor import SensorGainSine
 from slider_jax.effects.library import DICTIONARY, LIBRARY
 
@@ -100,16 +102,7 @@ class Dictionary:
             source._replace(theta=theta, free=np.array(free), linearised_at=None),
             outcome.problem,
         )
-
-        def plans(given: Sequence[TrialPlan]) -> list[TrialPlan]:
-            return [replace(p, extended=replace(p.extended, effects=names)) for p in given]
-
-        found = replace(
-            problem,
-            fine=plans(problem.fine),
-            coarse_plans=plans(problem.coarse_plans),
-            swing=None if problem.swing is None else Swing(problem.swing.size, swing),
-        )
+        found = _extended(problem, names, swing)
         if 0 < len(effects) < len(outcome.effects):
             progress(f"fitting the model with only {', '.join(effects)}")
             start = fit_gauss_newton(
@@ -143,6 +136,26 @@ class Dictionary:
         """Effects of the outcome that the function replaces."""
         return [name for name in self.outcome.effects if name not in self.effects]
 
+    def with_details(self, terms: Sequence[str]) -> "Dictionary":
+        """Returns the dictionary, extended by all details of `terms` at their null."""
+        origins = {REAR_PARTS[name].name(): name for name in terms if name in REAR_PARTS}
+        coarse = {name: name for name in terms} | origins
+        origins |= {
+            FINE_PARTS[name].name(): term for name, term in coarse.items() if name in FINE_PARTS
+        }
+        shapes = {
+            (p.effect, p.name): x
+            for p, x in zip(self.entries, self.start.theta, strict=True)
+            if p.is_shape
+        }
+        own = model_parameters(tuple(origins))[len(BASE) :]
+        values = [shapes[origins[p.effect], p.name] if p.is_shape else p.prior.null for p in own]
+        theta, swing = np.concatenate([self.start.theta, values]), self.problem.swing
+        at_rest = theta if swing is None else np.concatenate([swing.theta, values])
+        problem = _extended(self.problem, (*self.names, *origins), at_rest)
+        start = self.start._replace(theta=theta, linearised_at=None)
+        return replace(self, problem=problem, entries=[*self.entries, *own], start=start)
+
     def start_readings(self, chosen: Sequence[int]) -> list[np.ndarray]:
         """Returns the predicted readings of `start` in the trials `chosen` (of all records)."""
         used = self.outcome.used_trials
@@ -172,12 +185,27 @@ class Dictionary:
         return place_gains(refits, start, self.places, problem.whitened(tangents, white))
 
 
+def _extended(problem: TankProblem, names: tuple[str, ...], swing: np.ndarray) -> TankProblem:
+    """Returns the problem with the effects `names`; `swing` are the swing's parameters."""
+
+    def plans(given: Sequence[TrialPlan]) -> list[TrialPlan]:
+        return [replace(p, extended=replace(p.extended, effects=names)) for p in given]
+
+    return replace(
+        problem,
+        fine=plans(problem.fine),
+        coarse_plans=plans(problem.coarse_plans),
+        swing=None if problem.swing is None else Swing(problem.swing.size, swing),
+    )
+
+
 @dataclass(frozen=True)
 class LearnedModel:
     """A model with a learned function, fitted to all trials that were not held out."""
 
     dictionary: Dictionary
     terms: list[str]
+    """Terms of the function, and the rear parts of terms."""
     fit: Fit
     problem: TankProblem
     """The fit problem of the trials that were not held out."""
@@ -193,6 +221,12 @@ class LearnedModel:
     """Mean squares of the whitened residual in the fitted trials and in the held-out trials."""
     sizes: dict[str, float]
     """rms change of each channel in the fitted trials, divided by the channel's rms."""
+
+    @property
+    def fine_parts(self) -> list[str]:
+        """Fine parts of the terms in the model."""
+        found = dict.fromkeys(self.dictionary.entries[i].effect for i in self.fit.free)
+        return [name for name in found if name in DETAILS and name not in self.terms]
 
     @property
     def above_floor(self) -> list[str]:
@@ -368,55 +402,40 @@ def _estimate(
     """Fits the terms of the place `best` to the other half, and sets `model` or `reason`.
 
     A term that the other half does not confirm is dropped. If the other half confirms every term,
-    the terms are fitted to both halves. If the function then depends on a single trial, the term
-    that changes most is dropped, and the search begins again. `many` is the number of selected
-    terms of all places; the p-values are corrected for it.
+    the terms are fitted to both halves, and the details that lower the error enough are added. If
+    the function then depends on a single trial, the term that changes most is dropped, and the
+    search begins again. `many` is the number of selected terms of all places; the p-values are
+    corrected for it.
     """
     half, both = (known.problem.part(x) for x in (found.estimation, found.outcome.used_trials))
     groups, terms, theta = scoring_entries(known.entries), best.groups, best.fit.theta
-
-    def fitted(problem: TankProblem, theta: np.ndarray, free: np.ndarray) -> Fit | None:
-        start = theta.copy()
-        for _ in range(1 + found.outcome.search.settings.max_halvings):
-            fit = fit_gauss_newton(problem, known.entries, start, free, progress)
-            if fit.square < FAILED and np.isfinite(fit.errors).all():
-                break
-            for name in terms:  # a function from other trials can be too large for these trials
-                start[groups[name]] *= 0.5
-        else:
-            names = ", ".join(terms)
-            found.reason = f"the simulation or a derivative of the model with {names} failed"
-            return None
-        # Held-out trials judge the function, so that an incomplete fit may be used.
-        if not (fit.converged or found.outcome.held):
-            found.reason = f"the fit with {', '.join(terms)} did not converge"
-            return None
-        return fit
-
     while terms:
         progress(f"estimating {', '.join(terms)}")
         sines = [
             i for i, p in enumerate(known.entries) if p.effect in terms and p.name == "frequency"
         ]
-        strengths = [groups[name] for name in terms]
-        free = np.concatenate([known.start.free, *strengths, np.array(sines, int)])
-        places = {name: np.flatnonzero(np.isin(free, groups[name])) for name in terms}
-        fit = fitted(half, theta, free)
-        if fit is None:
+        own = {name: groups[name] for name in terms}
+        free = np.concatenate([known.start.free, *own.values(), np.array(sines, int)])
+        places = {name: np.flatnonzero(np.isin(free, group)) for name, group in own.items()}
+        fit = _fitted(found.outcome, known.entries, half, own, theta, free, progress)
+        if isinstance(fit, str):
+            found.reason = fit
             return
         confirmed = {n: stability(fit, x, many) for n, x in places.items()}
         worst = max(reversed(terms), key=lambda name: confirmed[name].p)
         if confirmed[worst].significant:
             progress(f"fitting {', '.join(terms)} to both halves")
-            fit = fitted(both, fit.theta, free)
-            if fit is None:
+            fit = _fitted(found.outcome, known.entries, both, own, fit.theta, free, progress)
+            if isinstance(fit, str):
+                found.reason = fit
                 return
             changes = {n: stability(fit, x, many).change for n, x in places.items()}
             confirmed = {n: x._replace(change=changes[n]) for n, x in confirmed.items()}
-            function = stability(fit, np.concatenate(list(places.values())), many)
-            if function.confirmed:
-                _conclude(found, known, both, terms, fit, confirmed, progress)
-                return
+            finer = _with_details(known, terms, fit, found.outcome, progress)
+            for model in (finer, (known, fit)):
+                if model is not None and _is_stable(*model, many):
+                    _conclude(found, *model, terms, confirmed, progress)
+                    return
             worst = max(terms, key=lambda name: changes[name])
         progress(f"dropping {worst}: other trials do not confirm it")
         found.dropped[worst] = confirmed[worst]
@@ -425,17 +444,82 @@ def _estimate(
     found.reason = NOT_CONFIRMED
 
 
+def _fitted(
+    outcome: LoopOutcome,
+    entries: Sequence[Parameter],
+    problem: TankProblem,
+    strengths: Mapping[str, np.ndarray],
+    theta: np.ndarray,
+    free: np.ndarray,
+    progress: Progress,
+) -> Fit | str:
+    """Returns the fit of the terms with the indices `strengths`, or the reason for a failure."""
+    start, names = theta.copy(), ", ".join(strengths)
+    for _ in range(1 + outcome.search.settings.max_halvings):
+        fit = fit_gauss_newton(problem, entries, start, free, progress)
+        if fit.square < FAILED and np.isfinite(fit.errors).all():
+            break
+        for group in strengths.values():  # a function of other trials can be too large for these
+            start[group] *= 0.5
+    else:
+        return f"the simulation or a derivative of the model with {names} failed"
+    # Held-out trials judge the function, so that an incomplete fit may be used.
+    if not (fit.converged or outcome.held):
+        return f"the fit with {names} did not converge"
+    return fit
+
+
+def _is_stable(known: Dictionary, fit: Fit, many: int) -> bool:
+    """Returns whether the trials of the fit confirm the function as a whole."""
+    entries = [known.entries[i] for i in fit.free]
+    of_function = [
+        (p.effect in DICTIONARY or p.effect in DETAILS) and not p.is_shape for p in entries
+    ]
+    return stability(fit, np.flatnonzero(of_function), many).confirmed
+
+
+def _with_details(
+    known: Dictionary, terms: Sequence[str], fit: Fit, outcome: LoopOutcome, progress: Progress
+) -> tuple[Dictionary, Fit] | None:
+    """Returns the model with the details that lower the error enough, fitted to both halves.
+
+    `fit` is the fit with the `terms`. A fine part is tried only for a term or a rear part that is
+    in the model. None: no detail was added.
+    """
+    details = known.with_details(terms)
+    groups, added = scoring_entries(details.entries), list[str]()
+    problem = details.problem.part(outcome.used_trials)
+    theta = details.start.theta.copy()
+    theta[: len(fit.theta)] = fit.theta
+    rear = [REAR_PARTS[name].name() for name in terms if name in REAR_PARTS]
+    fine = [FINE_PARTS[name].name() for name in (*terms, *rear) if name in FINE_PARTS]
+    of_rear = {FINE_PARTS[name].name(): name for name in rear if name in FINE_PARTS}
+    for name in (*rear, *fine):
+        if name in of_rear and of_rear[name] not in added:
+            continue
+        progress(f"fitting {name} to both halves")
+        free, own = np.concatenate([fit.free, groups[name]]), {name: groups[name]}
+        finer = _fitted(outcome, details.entries, problem, own, theta, free, progress)
+        if isinstance(finer, str):
+            continue
+        gain = (fit.square - finer.square) / finer.inflation
+        many = len(rear) + len(fine)
+        if gain > required_gain(len(groups[name]), many, outcome.search.settings):
+            fit, theta = finer, finer.theta
+            added.append(name)
+    return (details, fit) if added else None
+
+
 def _conclude(
     found: Learning,
     known: Dictionary,
-    problem: TankProblem,
-    terms: list[str],
     fit: Fit,
+    terms: list[str],
     confirmed: dict[str, Stability],
     progress: Progress,
 ) -> None:
-    """Tests the fit to `problem` on the held-out trials, and sets `model` or `reason`."""
-    outcome = found.outcome
+    """Tests the fit to both halves on the held-out trials, and sets `model` or `reason`."""
+    outcome, problem = found.outcome, known.problem.part(found.outcome.used_trials)
     tested = outcome.held or outcome.used_trials
     assert isinstance(outcome.problem, TankProblem)
     own = known.start_readings(outcome.used_trials)
@@ -457,6 +541,9 @@ def _conclude(
         return
     errors = channel_errors(rest, before, after)
     fit, found.reason = widen_by_correlation(problem, fit), ""
+    of_rear = [REAR_PARTS[name].name() for name in terms if name in REAR_PARTS]
+    fitted = {known.entries[i].effect for i in fit.free}
+    terms = [*terms, *(name for name in of_rear if name in fitted)]
     found.model = LearnedModel(
         known, terms, fit, problem, confirmed, errors, growth, tested, excess, sizes
     )

@@ -81,7 +81,7 @@ def halves(frequencies: Sequence[float | None]) -> tuple[list[int], list[int]]:
     return sorted(order[::2]), sorted(order[1::2])
 
 
-def _threshold(count: int, many: int, settings: SelectionSettings) -> float:
+def required_gain(count: int, many: int, settings: SelectionSettings) -> float:
     """Returns the gain that a group with `count` parameters must exceed, for `many` groups."""
     chance = float(chi2.isf(settings.false_alarm_p / many, count))
     return max(chance, settings.least_gain(count))
@@ -89,7 +89,7 @@ def _threshold(count: int, many: int, settings: SelectionSettings) -> float:
 
 def _surplus(refits: Refits, current: Fit, fit: Fit, many: int) -> float:
     gain = (current.square - fit.square) / fit.inflation
-    return gain - _threshold(len(fit.free) - len(current.free), many, refits.settings)
+    return gain - required_gain(len(fit.free) - len(current.free), many, refits.settings)
 
 
 def _short_list(
@@ -99,7 +99,7 @@ def _short_list(
     found, settings = [], refits.settings
     for name, group in groups.items():
         x = score(name, group, current.free, blocks, current.inflation, many, settings)
-        surplus = x.gain - _threshold(len(group), many, settings)
+        surplus = x.gain - required_gain(len(group), many, settings)
         if surplus > 0.0 and agreement(x.left_out, x.held_gains).agreed(settings):
             found.append((surplus, x))
     return sorted(found, key=lambda pair: -pair[0])

@@ -27,7 +27,7 @@ from calibration.learning.learn import Learning
 from calibration.reporting.html import embedded_png
 from calibration.reporting.parameters import model_tables, parameter_record
 from slider_jax.channels import CHANNELS
-from slider_jax.effects.library import DICTIONARY
+from slider_jax.effects.library import KNOWN_EFFECTS
 from slider_jax.errors import InputError, SolverError
 from slider_jax.io.figures import new_figure
 from slider_jax.io.toml import toml_text
@@ -64,15 +64,15 @@ def learned_record(
         "terms": [
             {
                 "name": name,
-                "title": DICTIONARY[name].title,
+                "title": KNOWN_EFFECTS[name].title,
                 "parameters": {
                     p.name: parameter_record(learned.fit, entries, i)
                     for i, p in enumerate(entries)
                     if p.effect == name
                 },
-                **learned.stability[name]._asdict(),
+                **(learned.stability[name]._asdict() if name in learned.stability else {}),
             }
-            for name in learned.terms
+            for name in (*learned.terms, *learned.fine_parts)
         ],
         "curves": [curve_record(x) for x in learned_curves(learning)],
         "errors": {
@@ -121,7 +121,9 @@ def learned_text(learning: Learning) -> str:
     learned = learning.model
     if learned is None:
         return f"No function was learned: {learning.reason}."
-    titles = ", ".join(f"{DICTIONARY[n].title} ({n})" for n in learned.terms)
+    titles = ", ".join(
+        f"{KNOWN_EFFECTS[n].title} ({n})" for n in (*learned.terms, *learned.fine_parts)
+    )
     text = f"At the place {learning.places[0].place}, the model learned: {titles}."
     text += " A learned function describes the residual; it is not an identified cause."
     replaced = learned.dictionary.replaced
@@ -187,7 +189,8 @@ def learned_model_toml(outcome: LoopOutcome, learning: Learning) -> str:
     """Returns the model with the learned function, for `slider simulate --model`."""
     learned = learning.model
     assert learned is not None
-    entries, names = learned.dictionary.entries, [*learned.dictionary.effects, *learned.terms]
+    entries = learned.dictionary.entries
+    names = [*learned.dictionary.effects, *learned.terms, *learned.fine_parts]
     kept = [i for i, p in enumerate(entries) if p.effect in names or i in learned.fit.free]
     tables = model_tables([entries[i] for i in kept], learned.fit.theta[kept], names)
     return toml_text(tables, "\n".join([*verdict_sentences(outcome), learned_text(learning)]))

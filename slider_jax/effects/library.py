@@ -1,7 +1,8 @@
 """The library of effects: a dictionary from names to classes. This module imports all effects.
 
-A model file may also contain terms of `DICTIONARY`. These terms describe a residual that no effect
-of the library explains. They are no physical causes, so they are not in the library.
+A model file may also contain terms of `DICTIONARY` and their `DETAILS`. These terms describe a
+residual that no effect of the library explains. They are no physical causes, so they are not in the
+library.
 """
 
 import hashlib
@@ -17,6 +18,7 @@ from types import ModuleType
 from slider_jax import effects
 from slider_jax.effects.base import Effect
 from slider_jax.effects.check import checked_effects, defined_effects, is_complete
+from slider_jax.effects.dictionary.details import DETAILS
 from slider_jax.errors import InputError
 from slider_jax.io.files import LOADED_FILES
 
@@ -39,10 +41,10 @@ DICTIONARY: dict[str, type[Effect]] = {
 }
 """The terms from which `slider close-loop` learns, by name."""
 LIBRARY: dict[str, type[Effect]] = {
-    k: x for k, x in _BUILT_IN.items() if not x.in_every_model and k not in DICTIONARY
+    k: x for k, x in _BUILT_IN.items() if not x.in_every_model and x.term_curve is None
 }
 """The physical effects by name, including the effects of the user's files."""
-KNOWN_EFFECTS = ChainMap(LIBRARY, DICTIONARY)
+KNOWN_EFFECTS = ChainMap(LIBRARY, DICTIONARY, DETAILS)
 """All effects that a model file may contain, by name."""
 _HOMES = dict.fromkeys(_BUILT_IN, "slider_jax")
 """The file or package that defines each effect, for messages."""
@@ -118,7 +120,7 @@ def _sources(module: ModuleType) -> Sequence[Path]:
 
 
 def _add(module: ModuleType, where: str, sources: dict[Path, bytes]) -> list[str]:
-    taken = {name: _HOMES.get(name, "the library") for name in (*_BUILT_IN, *LIBRARY)}
+    taken = {name: _HOMES.get(name, "the library") for name in (*KNOWN_EFFECTS, *_BUILT_IN)}
     kinds = checked_effects(module, where, taken)
     LIBRARY.update({kind.name(): kind for kind in kinds})
     _HOMES.update({kind.name(): where for kind in kinds})

@@ -35,6 +35,9 @@ ROOT_CORNER = 0.02
 is then 7/`RATE`, less than the slope of dry friction."""
 MEMORY_TIME = 0.3
 """Time constant [s] of the recent mean square of the curvature: a stride at 3 Hz."""
+REST = 1e-6
+"""Recent rms of the curvature [1/m] of a robot at rest, because a square root has no derivative
+at 0."""
 FRICTION_CURVATURE = 0.3
 """Change of the curvature [1/m] in which dry friction builds up: a tenth of `CURVATURE`."""
 FULL_PRESSURE = 200e3
@@ -508,17 +511,14 @@ class StiffnessOfRecentBending(CurvatureTerm):
         return jnp.abs(x.kappa)
 
     def basis(self, z):
-        return self.powers_of(jnp.square(z))
-
-    def powers_of(self, square: Array) -> Basis:
-        """Returns the basis functions at the mean square r^2."""
-        q = jnp.minimum(square / self.scale**2, 1.0)
+        q = jnp.minimum(jnp.square(z / self.scale), 1.0)
         return q, q**2, q**3
 
     def moment(self, x, memory, dt):
         gain = dt / MEMORY_TIME
         square = (memory + gain * jnp.square(x.kappa)) / (1.0 + gain)
-        return x.EI * self.cells(x) * self.total(self.powers_of(square)) * x.kappa, square
+        recent = jnp.sqrt(square + REST**2)
+        return x.EI * self.cells(x) * self.total(self.basis(recent)) * x.kappa, square
 
 
 class MomentDrift(LocalDrift, BendingMoment):

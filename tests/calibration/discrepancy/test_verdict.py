@@ -1,5 +1,7 @@
 """The verdict on selections with a known outcome."""
 
+from types import MappingProxyType
+
 import numpy as np
 import pytest
 
@@ -12,30 +14,37 @@ from calibration.model.extended import base_vector, model_parameters
 ENTRIES = model_parameters(("valve_delay", "tank_current"))
 BASE = {"C_d": 3.0, "m_a": 0.7, "k": 0.09, "K_Q": 4.8e-7}
 DELAY = 4
+ONLY_TIP = MappingProxyType({"tip": 0.1, "thrust": 0.001})
 
 
 def judged(
-    left=(), effects=("valve_delay",), equivalent=(), delay=0.02, widened=None, converged=True
+    left=(),
+    effects=("valve_delay",),
+    equivalent=(),
+    delay=0.02,
+    widened=None,
+    converged=True,
+    sizes=ONLY_TIP,
 ):
-    """Returns the verdict and the statuses of `effects`, which change only the tip by 10 %.
+    """Returns the verdict and the statuses of `effects`, which change the channels by `sizes`.
 
     The channels in `left` have a mean square of 4. `widened` is the upper end of the delay's range.
     """
     theta = base_vector(ENTRIES, BASE)
     theta[DELAY] = delay
     fit = Fit(theta, np.arange(4), 1.0, 100, [], [], converged)
-    agreed, sizes = Agreement(9.0, 0.01, 0.01, 9.0), {"tip": 0.1, "thrust": 0.001}
+    agreed = Agreement(9.0, 0.01, 0.01, 9.0)
     rounds = [
         SelectionStep([], [Refit(n, fit, 99.0, sizes, agreed, True)], n, list(equivalent))
         for n in effects
     ]
     search = Selection(fit, fit, list(effects), rounds, entries=list(ENTRIES))
-    search.discrepancies = {"tip": 0.005, "thrust": 0.07}
+    search.discrepancies = {"tip": 0.005, "thrust": 0.07, "p_front": 0.002, "p_rear": 0.002}
     if widened is not None:
         p = ENTRIES[DELAY]
         search.entries[DELAY] = p._replace(prior=p.prior._replace(high=widened))
         search.declared[DELAY] = p.prior
-    after = {c: Excess(np.full(4, 1.0), 4.0 if c in left else 1.0) for c in ("tip", "thrust")}
+    after = {c: Excess(np.full(4, 1.0), 4.0 if c in left else 1.0) for c in search.discrepancies}
     found = judge_effects(search, theta, after)
     return reach_verdict(search, found, after), {x.name: x.status for x in found}
 
@@ -57,6 +66,14 @@ def test_an_effect_in_a_channel_above_the_noise_floor_is_provisional():
 
 def test_an_effect_is_identified_although_another_channel_is_above_the_noise_floor():
     assert judged(["thrust"]) == ("partly_explained", {"valve_delay": "identified"})
+
+
+def test_an_effect_of_the_motion_is_provisional_if_a_pressure_is_above_the_noise_floor():
+    """A wrong pressure moves the tip, and an effect that moves the tip may only correct this."""
+    assert judged(["p_front"]) == ("partly_explained", {"valve_delay": "provisional"})
+    both = {"tip": 0.1, "p_rear": 0.1}
+    assert judged(["p_front"], sizes=both)[1] == {"valve_delay": "identified"}
+    assert judged(["p_rear"], sizes=both)[1] == {"valve_delay": "provisional"}
 
 
 @pytest.mark.parametrize(

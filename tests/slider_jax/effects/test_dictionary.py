@@ -1,7 +1,6 @@
 """The terms of the dictionary: null, tangents, basis functions, and use in a model file."""
 
 import importlib
-from pathlib import Path
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.model.extended import candidate_effects
-from slider_jax.effects import Chamber, Readings, dictionary
+from slider_jax.effects import Chamber, Readings
 from slider_jax.effects.check import checked_effects
 from slider_jax.effects.functions import Powers, even_powers, mixed_powers, odd_corners, odd_powers
 from slider_jax.effects.library import DICTIONARY, LIBRARY
@@ -17,7 +16,7 @@ from slider_jax.experiment.load import assemble
 from slider_jax.simulation.effect_signature import built_in_experiment
 from slider_jax.simulation.trial import simulate_trial
 
-FILES = sorted(path.stem for path in Path(dictionary.__file__).parent.glob("[a-z]*.py"))
+FILES = sorted({kind.__module__.split(".")[-1] for kind in DICTIONARY.values()})
 
 
 @pytest.mark.slow

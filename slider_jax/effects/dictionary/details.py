@@ -1,0 +1,138 @@
+"""Details of the terms: functions that a learned function gets if its terms are too coarse.
+
+A term of `DICTIONARY` has three functions of a state, so it resolves a corner or a dip near the
+state zero only roughly. `FINE_PARTS` contains the same functions with a quarter and a sixteenth of
+the scale. These functions are constant beyond their scale, so they change the slope of the learned
+function only near zero.
+
+A term of the chambers is equal in both chambers. `REAR_PARTS` contains the same term in the rear
+chamber only, so that the chambers can differ.
+"""
+
+from collections.abc import Iterator
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.dynamics.pressures import REAR
+from slider_jax.effects.base import ActingPressure, Command, Effect, Flow, Instrument, parameter
+from slider_jax.effects.check import defined_effects, is_complete
+from slider_jax.effects.dictionary import (
+    acting_pressure,
+    bending_moment,
+    command,
+    flow,
+    force_density,
+    sensor,
+    water_motion,
+)
+from slider_jax.effects.functions import WHY_FACTOR, Powers
+
+SCALES = (4.0, 16.0)
+"""The scale of a term divided by the two scales of its fine part."""
+ONE_CHAMBER = ("front_", "rear_")
+"""Start of the names of terms that act in one chamber only."""
+
+
+class FinePart(Powers):
+    """The functions of a term with the scales of `SCALES`, each multiplied by a parameter.
+
+    `a`, `b` and `c` belong to the first scale.
+    """
+
+    d: Scalar = parameter(0.0, -20.0, 20.0, "-", WHY_FACTOR)
+    """Factor of the first function with the second scale."""
+    e: Scalar = parameter(0.0, -20.0, 20.0, "-", WHY_FACTOR)
+    """Factor of the second function with the second scale."""
+    f: Scalar = parameter(0.0, -20.0, 20.0, "-", WHY_FACTOR)
+    """Factor of the third function with the second scale."""
+
+    def basis(self, z):
+        """Returns the six functions at the state z."""
+        of_term = super().basis  # type: ignore[misc]
+        return [x for scale in SCALES for x in of_term(scale * z)]
+
+    def total(self, basis):
+        first, second, third, d, e, f = basis
+        return super().total((first, second, third)) + self.d * d + self.e * e + self.f * f
+
+
+class RearCommand:
+    """A term of the set pressure that acts in the rear chamber only."""
+
+    def command(self, wave, chamber):
+        return super().command(wave, chamber) if chamber else wave  # type: ignore[misc]
+
+
+class RearFlow:
+    """A term of the flow that acts in the rear chamber only."""
+
+    def rate(self, rate, x):
+        return jnp.where(x.rear > 0, super().rate(rate, x), rate)  # type: ignore[misc]
+
+
+class RearActingPressure:
+    """A term of the acting pressure that acts in the rear chamber only."""
+
+    def act(self, p, memory, dt):
+        acting, memory = super().act(p, memory, dt)  # type: ignore[misc]
+        return jnp.where(REAR > 0, acting, p), memory
+
+
+class RearReading:
+    """A term of the pressure sensors that changes only the reading of the rear chamber."""
+
+    def read(self, true):
+        return super().read(true)._replace(p_front=true.p_front)  # type: ignore[misc]
+
+
+REAR_PLACES: dict[type[Effect], type] = {
+    Command: RearCommand,
+    Flow: RearFlow,
+    ActingPressure: RearActingPressure,
+    Instrument: RearReading,
+}
+
+
+def _terms() -> Iterator[type[Effect]]:
+    places = (command, flow, acting_pressure, bending_moment, force_density, water_motion, sensor)
+    for place in places:
+        yield from filter(is_complete, defined_effects(place))
+
+
+def _part(kind: type[Effect], base: type, suffix: str, title: str) -> type[Effect]:
+    text = {"__module__": __name__, "__doc__": f"A part of `{kind.name()}`: {title}."}
+    name = f"{kind.__name__}{suffix}"
+    return type(name, (base, kind), text | {"title": f"{kind.title}, {title}"})
+
+
+def _has_rear_part(kind: type[Effect]) -> bool:
+    """Returns whether the term acts in both chambers, and has no frequency."""
+    of_chambers = kind.sensors == ("pressure",) or not issubclass(kind, Instrument)
+    of_both = of_chambers and not kind.name().startswith(ONE_CHAMBER)
+    return of_both and issubclass(kind, tuple(REAR_PLACES)) and "frequency" not in kind.shapes()
+
+
+def _rear_part(kind: type[Effect]) -> type[Effect]:
+    base = next(x for place, x in REAR_PLACES.items() if issubclass(kind, place))
+    return _part(kind, base, "OfRear", "difference of the rear chamber")
+
+
+def _has_fine_part(kind: type[Effect]) -> bool:
+    return issubclass(kind, Powers) and "scale" in kind.shapes()
+
+
+REAR_PARTS: dict[str, type[Effect]] = {
+    kind.name(): _rear_part(kind) for kind in _terms() if _has_rear_part(kind)
+}
+"""The part of the rear chamber of each term that has one, by the name of the term."""
+FINE_PARTS: dict[str, type[Effect]] = {
+    kind.name(): _part(kind, FinePart, "Fine", "details near zero")
+    for kind in (*_terms(), *REAR_PARTS.values())
+    if _has_fine_part(kind)
+}
+"""The fine part of each term that has one, by the name of the term or of its rear part."""
+DETAILS: dict[str, type[Effect]] = {
+    kind.name(): kind for kind in (*REAR_PARTS.values(), *FINE_PARTS.values())
+}
+"""All details by their own names."""
