@@ -432,10 +432,13 @@ def _estimate(
             changes = {n: stability(fit, x, many).change for n, x in places.items()}
             confirmed = {n: x._replace(change=changes[n]) for n, x in confirmed.items()}
             finer = _with_details(known, terms, fit, found.outcome, progress)
-            for model in (finer, (known, fit)):
-                if model is not None and _is_stable(*model, many):
-                    _conclude(found, *model, terms, confirmed, progress)
-                    return
+            stable = [x for x in (finer, (known, fit)) if x is not None and _is_stable(*x, many)]
+            for model in stable:
+                _conclude(found, *model, terms, confirmed, progress)
+                if found.model is not None:
+                    break
+            if stable:
+                return
             worst = max(terms, key=lambda name: changes[name])
         progress(f"dropping {worst}: other trials do not confirm it")
         found.dropped[worst] = confirmed[worst]

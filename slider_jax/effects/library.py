@@ -18,7 +18,7 @@ from types import ModuleType
 from slider_jax import effects
 from slider_jax.effects.base import Effect
 from slider_jax.effects.check import checked_effects, defined_effects, is_complete
-from slider_jax.effects.dictionary.details import DETAILS
+from slider_jax.effects.dictionary.details import DETAILS, REAR_READINGS
 from slider_jax.errors import InputError
 from slider_jax.io.files import LOADED_FILES
 
@@ -38,7 +38,7 @@ def _built_in() -> dict[str, type[Effect]]:
 _BUILT_IN = _built_in()
 DICTIONARY: dict[str, type[Effect]] = {
     k: x for k, x in _BUILT_IN.items() if x.term_curve is not None
-}
+} | REAR_READINGS
 """The terms from which `slider close-loop` learns, by name."""
 LIBRARY: dict[str, type[Effect]] = {
     k: x for k, x in _BUILT_IN.items() if not x.in_every_model and x.term_curve is None

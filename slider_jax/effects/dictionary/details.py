@@ -6,7 +6,9 @@ the scale. These functions are constant beyond their scale, so they change the s
 function only near zero.
 
 A term of the chambers is equal in both chambers. `REAR_PARTS` contains the same term in the rear
-chamber only, so that the chambers can differ.
+chamber only, so that the chambers can differ. `REAR_READINGS` are the same for the two pressure
+sensors. They are terms of the dictionary, because most faults of a sensor concern one sensor, and
+their tangents cost no simulation.
 """
 
 from collections.abc import Iterator
@@ -113,22 +115,27 @@ def _has_rear_part(kind: type[Effect]) -> bool:
     return of_both and issubclass(kind, tuple(REAR_PLACES)) and "frequency" not in kind.shapes()
 
 
-def _rear_part(kind: type[Effect]) -> type[Effect]:
-    base = next(x for place, x in REAR_PLACES.items() if issubclass(kind, place))
-    return _part(kind, base, "OfRear", "difference of the rear chamber")
+def _rear_parts(of_readings: bool) -> dict[str, type[Effect]]:
+    found = {}
+    for kind in filter(_has_rear_part, _terms()):
+        base = next(x for place, x in REAR_PLACES.items() if issubclass(kind, place))
+        title = "rear sensor only" if of_readings else "difference of the rear chamber"
+        if (base is RearReading) == of_readings:
+            found[kind.name()] = _part(kind, base, "OfRear", title)
+    return found
 
 
 def _has_fine_part(kind: type[Effect]) -> bool:
     return issubclass(kind, Powers) and "scale" in kind.shapes()
 
 
-REAR_PARTS: dict[str, type[Effect]] = {
-    kind.name(): _rear_part(kind) for kind in _terms() if _has_rear_part(kind)
-}
+REAR_PARTS = _rear_parts(of_readings=False)
 """The part of the rear chamber of each term that has one, by the name of the term."""
+REAR_READINGS = {kind.name(): kind for kind in _rear_parts(of_readings=True).values()}
+"""Terms of the rear pressure sensor, by their own names."""
 FINE_PARTS: dict[str, type[Effect]] = {
     kind.name(): _part(kind, FinePart, "Fine", "details near zero")
-    for kind in (*_terms(), *REAR_PARTS.values())
+    for kind in (*_terms(), *REAR_PARTS.values(), *REAR_READINGS.values())
     if _has_fine_part(kind)
 }
 """The fine part of each term that has one, by the name of the term or of its rear part."""

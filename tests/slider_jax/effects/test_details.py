@@ -91,7 +91,7 @@ def test_rear_parts_change_only_the_rear_chamber():
 def test_the_rear_pressure_sensor_alone_reads_the_other_pressure():
     t, p = jnp.arange(5.0), jnp.asarray(100e3 * Z)
     true = Readings(t, p, -p, *(3 * [jnp.zeros(5)]))
-    read = REAR_PARTS["pressure_reading_of_other"](a=0.5, scale=1.0).read(true)
+    read = DICTIONARY["pressure_reading_of_other_of_rear"](a=0.5, scale=1.0).read(true)
     np.testing.assert_allclose(read.p_rear, -p + 50e3 * Z)
     for name in ("p_front", "thrust", "recoil", "tip"):
         np.testing.assert_array_equal(getattr(read, name), getattr(true, name))
