@@ -1,7 +1,7 @@
 """Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
     python benchmarks/loop.py null noise situation single double --out DIR
-    python benchmarks/loop.py outside fresh blind unseen novel further --out DIR
+    python benchmarks/loop.py outside fresh blind unseen novel further common everyday --out DIR
     python benchmarks/loop.py table --out DIR
 
 The benchmark writes one file per tank to DIR. An interrupted run resumes when you repeat the
@@ -404,7 +404,7 @@ def main() -> None:
     part, parts = map(int, arguments.part.split("/"))
     prepare_jax()
     candidates = candidate_effects()
-    for name in ("unknown", "fresh", "blind", "unseen", "novel", "further", "common"):
+    for name in ("unknown", "fresh", "blind", "unseen", "novel", "further", "common", "everyday"):
         load_effects(Path(__file__).parent / f"{name}_effects.py")
     for what in arguments.what:
         if what == "table":

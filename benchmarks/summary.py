@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from blind_effects import BLIND_EFFECTS
 from common_effects import COMMON_EFFECTS
+from everyday_effects import EVERYDAY_EFFECTS
 from fresh_effects import FRESH_EFFECTS
 from further_effects import FURTHER_EFFECTS
 from novel_effects import NOVEL_EFFECTS
@@ -27,6 +28,7 @@ LACKING = {
     "novel": NOVEL_EFFECTS,
     "further": FURTHER_EFFECTS,
     "common": COMMON_EFFECTS,
+    "everyday": EVERYDAY_EFFECTS,
 }
 """Effects that the library lacks, by kind of case."""
 SAME_LAW = {
