@@ -32,7 +32,7 @@ from calibration.learning.pursuit import (
     Stability,
     halves,
     place_gains,
-    required_gain,
+    pursue,
     stability,
 )
 from calibration.learning.states import OF_CHAMBERS, largest_states
@@ -136,25 +136,28 @@ class Dictionary:
         """Effects of the outcome that the function replaces."""
         return [name for name in self.outcome.effects if name not in self.effects]
 
-    def with_details(self, terms: Sequence[str]) -> "Dictionary":
-        """Returns the dictionary, extended by all details of `terms` at their null."""
+    def with_details(self, terms: Sequence[str]) -> tuple["Dictionary", np.ndarray]:
+        """Returns a dictionary of only `terms` and their details, and the index of each entry.
+
+        The indices are the positions of its first entries in `entries`. The details follow, at
+        their null.
+        """
         origins = {REAR_PARTS[name].name(): name for name in terms if name in REAR_PARTS}
         coarse = {name: name for name in terms} | origins
         origins |= {
             FINE_PARTS[name].name(): term for name, term in coarse.items() if name in FINE_PARTS
         }
-        shapes = {
-            (p.effect, p.name): x
-            for p, x in zip(self.entries, self.start.theta, strict=True)
-            if p.is_shape
-        }
+        kept = np.flatnonzero([p.effect in ("", *self.effects, *terms) for p in self.entries])
+        entries, theta = [self.entries[i] for i in kept], self.start.theta[kept]
+        shapes = {(p.effect, p.name): x for p, x in zip(entries, theta, strict=True) if p.is_shape}
         own = model_parameters(tuple(origins))[len(BASE) :]
         values = [shapes[origins[p.effect], p.name] if p.is_shape else p.prior.null for p in own]
-        theta, swing = np.concatenate([self.start.theta, values]), self.problem.swing
-        at_rest = theta if swing is None else np.concatenate([swing.theta, values])
-        problem = _extended(self.problem, (*self.names, *origins), at_rest)
-        start = self.start._replace(theta=theta, linearised_at=None)
-        return replace(self, problem=problem, entries=[*self.entries, *own], start=start)
+        theta, swing = np.concatenate([theta, values]), self.problem.swing
+        at_rest = theta if swing is None else np.concatenate([swing.theta[kept], values])
+        problem = _extended(self.problem, (*self.effects, *terms, *origins), at_rest)
+        free = np.searchsorted(kept, self.start.free)
+        start = self.start._replace(theta=theta, free=free, linearised_at=None)
+        return replace(self, problem=problem, entries=[*entries, *own], start=start), kept
 
     def start_readings(self, chosen: Sequence[int]) -> list[np.ndarray]:
         """Returns the predicted readings of `start` in the trials `chosen` (of all records)."""
@@ -486,31 +489,30 @@ def _with_details(
 ) -> tuple[Dictionary, Fit] | None:
     """Returns the model with the details that lower the error enough, fitted to both halves.
 
-    `fit` is the fit with the `terms`. A fine part is tried only for a term or a rear part that is
-    in the model. None: no detail was added.
+    `fit` is the fit with the `terms`. None: no detail was added.
     """
-    details = known.with_details(terms)
-    groups, added = scoring_entries(details.entries), list[str]()
-    problem = details.problem.part(outcome.used_trials)
+    details, kept = known.with_details(terms)
+    groups = {n: x for n, x in scoring_entries(details.entries).items() if n in DETAILS}
+    if not groups:
+        return None
+    progress(f"scoring {len(groups)} details")
     theta = details.start.theta.copy()
-    theta[: len(fit.theta)] = fit.theta
-    rear = [REAR_PARTS[name].name() for name in terms if name in REAR_PARTS]
-    fine = [FINE_PARTS[name].name() for name in (*terms, *rear) if name in FINE_PARTS]
-    of_rear = {FINE_PARTS[name].name(): name for name in rear if name in FINE_PARTS}
-    for name in (*rear, *fine):
-        if name in of_rear and of_rear[name] not in added:
-            continue
-        progress(f"fitting {name} to both halves")
-        free, own = np.concatenate([fit.free, groups[name]]), {name: groups[name]}
-        finer = _fitted(outcome, details.entries, problem, own, theta, free, progress)
-        if isinstance(finer, str):
-            continue
-        gain = (fit.square - finer.square) / finer.inflation
-        many = len(rear) + len(fine)
-        if gain > required_gain(len(groups[name]), many, outcome.search.settings):
-            fit, theta = finer, finer.theta
-            added.append(name)
-    return (details, fit) if added else None
+    theta[: len(kept)] = fit.theta[kept]
+    free = np.searchsorted(kept, fit.free)
+    start = fit._replace(theta=theta, free=free, linearised_at=None)
+    problem, settings = details.problem.part(outcome.used_trials), outcome.search.settings
+    white = problem.whiteners(fit.predicted)
+    refits = Refits(problem, details.entries, white, progress, settings)
+    tangents = effect_tangents(problem, details.entries, theta, free, settings)
+    J = problem.whitened(tangents, white)
+    found = pursue(refits, start, "details", groups, J, len(groups))
+    own = {name: groups[name] for name in found.groups}
+    if not own:
+        return None
+    progress(f"fitting {', '.join(own)} to both halves")
+    free = np.concatenate([free, *own.values()])
+    finer = _fitted(outcome, details.entries, problem, own, found.fit.theta, free, progress)
+    return None if isinstance(finer, str) else (details, finer)
 
 
 def _conclude(

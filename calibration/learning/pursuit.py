@@ -81,7 +81,7 @@ def halves(frequencies: Sequence[float | None]) -> tuple[list[int], list[int]]:
     return sorted(order[::2]), sorted(order[1::2])
 
 
-def required_gain(count: int, many: int, settings: SelectionSettings) -> float:
+def _required_gain(count: int, many: int, settings: SelectionSettings) -> float:
     """Returns the gain that a group with `count` parameters must exceed, for `many` groups."""
     chance = float(chi2.isf(settings.false_alarm_p / many, count))
     return max(chance, settings.least_gain(count))
@@ -89,7 +89,7 @@ def required_gain(count: int, many: int, settings: SelectionSettings) -> float:
 
 def _surplus(refits: Refits, current: Fit, fit: Fit, many: int) -> float:
     gain = (current.square - fit.square) / fit.inflation
-    return gain - required_gain(len(fit.free) - len(current.free), many, refits.settings)
+    return gain - _required_gain(len(fit.free) - len(current.free), many, refits.settings)
 
 
 def _short_list(
@@ -99,16 +99,20 @@ def _short_list(
     found, settings = [], refits.settings
     for name, group in groups.items():
         x = score(name, group, current.free, blocks, current.inflation, many, settings)
-        surplus = x.gain - required_gain(len(group), many, settings)
+        surplus = x.gain - _required_gain(len(group), many, settings)
         if surplus > 0.0 and agreement(x.left_out, x.held_gains).agreed(settings):
             found.append((surplus, x))
     return sorted(found, key=lambda pair: -pair[0])
 
 
-def _pursue(
+def pursue(
     refits: Refits, start: Fit, place: str, groups: Groups, J: Tangents, many: int
 ) -> PlaceGain:
-    """Returns the result of the pursuit at one place."""
+    """Returns the result of the pursuit at one place.
+
+    `start` is the fit without the `groups`, `J` are its whitened tangents, and `many` is the number
+    of groups that chance allows for.
+    """
     current, chosen, total = start, list[str](), 0.0
     while len(chosen) < MAX_GROUPS:
         residuals = refits.problem.residuals(current.predicted, refits.white)
@@ -153,7 +157,7 @@ def place_gains(
     }
     best = sorted(first, key=lambda place: -first[place])
     tried = [place for place in best[:MAX_PLACES] if first[place] > 0.0]
-    found = [_pursue(refits, start, place, places[place], J, many) for place in tried]
+    found = [pursue(refits, start, place, places[place], J, many) for place in tried]
     found += [PlaceGain(place, [], 0.0, 0.0, start) for place in best if place not in tried]
     return sorted(found, key=lambda x: -x.surplus)
 
