@@ -16,7 +16,6 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.dynamics.pressures import REAR
 from slider_jax.effects.base import ActingPressure, Command, Effect, Flow, Instrument, parameter
 from slider_jax.effects.check import defined_effects, is_complete
 from slider_jax.effects.dictionary import (
@@ -78,7 +77,7 @@ class RearActingPressure:
 
     def act(self, p, memory, dt):
         acting, memory = super().act(p, memory, dt)  # type: ignore[misc]
-        return jnp.where(REAR > 0, acting, p), memory
+        return jnp.concatenate([p[..., :1], acting[..., 1:]], axis=-1), memory
 
 
 class RearReading:
