@@ -60,9 +60,10 @@ def tangents(plan, theta, directions, dtype=float):
 
 def replace_the_beam(monkeypatch):
     """Replaces the simulation of trials by `readings`."""
-    monkeypatch.setattr(problem, "predict_each", lambda pairs: [predict(*pair) for pair in pairs])
     monkeypatch.setattr(information, "predict_readings", predict)
     for module in (problem, information):
+        each = lambda pairs: [predict(*pair) for pair in pairs]  # noqa: E731
+        monkeypatch.setattr(module, "predict_each", each)
         monkeypatch.setattr(module, "reading_tangents", tangents)
 
 

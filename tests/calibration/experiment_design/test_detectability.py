@@ -237,7 +237,8 @@ def test_a_predicted_trial_is_not_simulated_again(still, tmp_path, monkeypatch):
     f = replace(still.information, memo=Memo(tmp_path))
     trial = f.experiment.trials[0]
     first = f.trial(trial)
-    monkeypatch.setattr("calibration.experiment_design.information.predict_readings", None)
+    for name in ("predict_readings", "predict_each"):
+        monkeypatch.setattr(f"calibration.experiment_design.information.{name}", None)
     for one, other in zip(first, f.trial(trial), strict=True):
         np.testing.assert_array_equal(one.A, other.A)
     others = (
