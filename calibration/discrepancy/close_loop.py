@@ -91,8 +91,7 @@ class LoopOutcome:
         """Added effects that may only resemble the cause.
 
         If the fit did not converge or the effects are `replaceable`, these are all effects.
-        Otherwise, they are the effects with a residual above the noise floor in a channel that they
-        change.
+        Otherwise, they are the effects with a status whose `above_floor` contains a channel.
         """
         doubtful = self.replaceable or not self.chosen.converged
         return [x.name for x in self.statuses if x.above_floor or doubtful]

@@ -137,10 +137,10 @@ class Dictionary:
         return [name for name in self.outcome.effects if name not in self.effects]
 
     def with_details(self, terms: Sequence[str]) -> tuple["Dictionary", np.ndarray]:
-        """Returns a dictionary of only `terms` and their details, and the index of each entry.
+        """Returns a smaller dictionary with the details of `terms`, and the kept indices.
 
-        The indices are the positions of its first entries in `entries`. The details follow, at
-        their null.
+        It contains the base model, `effects`, `terms` and, at their null, the details. The kept
+        indices are the positions in `entries` of its entries without the details.
         """
         origins = {REAR_PARTS[name].name(): name for name in terms if name in REAR_PARTS}
         coarse = {name: name for name in terms} | origins

@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
@@ -11,6 +12,14 @@ from slider_jax.effects.functions import Basis, Powers, mixed_powers, odd_powers
 
 PRESSURE = 20e3
 """Pressure [Pa] that one unit of a term's parameters adds: a tenth of a typical pressure."""
+
+
+class RearActingPressure:
+    """The rear chamber; only its acting pressure changes."""
+
+    def act(self, p, memory, dt):
+        acting, memory = super().act(p, memory, dt)  # type: ignore[misc]
+        return jnp.concatenate([p[..., :1], acting[..., 1:]], axis=-1), memory
 
 
 class ActingPressureTerm(Powers, ActingPressure):

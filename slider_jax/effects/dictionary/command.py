@@ -30,6 +30,13 @@ ITERATIONS = 3
 delay, which is about 0.01."""
 
 
+class RearCommand:
+    """The rear chamber; only its set pressure changes."""
+
+    def command(self, wave, chamber):
+        return super().command(wave, chamber) if chamber else wave  # type: ignore[misc]
+
+
 class Drifting(Waveform):
     """`wave` at the times t - d(t), with a delay d that changes slowly."""
 
@@ -86,14 +93,10 @@ class SetPressureGainDrift(CubicDrift, Command):
         return Scaled(wave, self)
 
 
-class RearSetPressureGainDrift(CubicDrift, Command):
+class RearSetPressureGainDrift(RearCommand, SetPressureGainDrift):
     """The gain of the rear chamber's set pressure changes by a function of the time t."""
 
     title = "gain of the rear chamber's set pressure that drifts during a trial"
-    term_curve = Curve("time t", "s", "change of the gain divided by 0.1", "-")
-
-    def command(self, wave, chamber):
-        return Scaled(wave, self) if chamber else wave
 
 
 class SetPressureTerm(Powers, Command):
@@ -147,7 +150,7 @@ class SetPressureWithCorners(SetPressureTerm):
         return odd_corners(z / self.scale, PRESSURE)
 
 
-class RearSetPressure(SetPressureTerm):
+class RearSetPressure(RearCommand, SetPressureTerm):
     """The rear chamber's set pressure changes by a function f of the commanded set pressure.
 
     f is a sum of p_set, |p_set| and p_set^2.
@@ -157,6 +160,3 @@ class RearSetPressure(SetPressureTerm):
 
     def basis(self, z):
         return mixed_powers(z / self.scale, PRESSURE)
-
-    def command(self, wave, chamber):
-        return super().command(wave, chamber) if chamber else wave

@@ -13,8 +13,6 @@ their tangents cost no simulation.
 
 from collections.abc import Iterator
 
-import jax.numpy as jnp
-
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import ActingPressure, Command, Effect, Flow, Instrument, parameter
 from slider_jax.effects.check import defined_effects, is_complete
@@ -27,6 +25,10 @@ from slider_jax.effects.dictionary import (
     sensor,
     water_motion,
 )
+from slider_jax.effects.dictionary.acting_pressure import RearActingPressure
+from slider_jax.effects.dictionary.command import RearCommand
+from slider_jax.effects.dictionary.flow import RearFlow
+from slider_jax.effects.dictionary.sensor import RearReading
 from slider_jax.effects.functions import WHY_FACTOR, Powers
 
 SCALES = (4.0, 16.0)
@@ -56,35 +58,6 @@ class FinePart(Powers):
     def total(self, basis):
         first, second, third, d, e, f = basis
         return super().total((first, second, third)) + self.d * d + self.e * e + self.f * f
-
-
-class RearCommand:
-    """A term of the set pressure that acts in the rear chamber only."""
-
-    def command(self, wave, chamber):
-        return super().command(wave, chamber) if chamber else wave  # type: ignore[misc]
-
-
-class RearFlow:
-    """A term of the flow that acts in the rear chamber only."""
-
-    def rate(self, rate, x):
-        return jnp.where(x.rear > 0, super().rate(rate, x), rate)  # type: ignore[misc]
-
-
-class RearActingPressure:
-    """A term of the acting pressure that acts in the rear chamber only."""
-
-    def act(self, p, memory, dt):
-        acting, memory = super().act(p, memory, dt)  # type: ignore[misc]
-        return jnp.concatenate([p[..., :1], acting[..., 1:]], axis=-1), memory
-
-
-class RearReading:
-    """A term of the pressure sensors that changes only the reading of the rear chamber."""
-
-    def read(self, true):
-        return super().read(true)._replace(p_front=true.p_front)  # type: ignore[misc]
 
 
 REAR_PLACES: dict[type[Effect], type] = {

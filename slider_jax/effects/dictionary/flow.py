@@ -53,11 +53,11 @@ class FlowTerm(Powers, Flow):
         return rate + self.factor(x) * self.total(self.basis(self.state(x)))
 
 
-class OfRearChamber:
-    """The rear chamber; a `FlowTerm` changes only its flow."""
+class RearFlow:
+    """The rear chamber; only its flow changes."""
 
-    def factor(self, x: Chamber) -> Array:
-        return jnp.asarray(x.rear, float)
+    def rate(self, rate, x):
+        return jnp.where(x.rear > 0, super().rate(rate, x), rate)  # type: ignore[misc]
 
 
 class PressureTerm(FlowTerm):
@@ -100,7 +100,7 @@ class FlowOfPressureWithCorners(PressureTerm):
         return odd_corners(z / self.scale, RATE)
 
 
-class RearFlowOfPressure(OfRearChamber, PressureTerm):
+class RearFlowOfPressure(RearFlow, PressureTerm):
     """dp/dt of the rear chamber changes by a function f of its pressure p.
 
     f is a sum of p, |p| and p^2.
@@ -150,7 +150,7 @@ class FlowOfDifferenceBySide(OwnDifferenceTerm):
         return even_powers(z / self.scale, RATE)
 
 
-class RearFlowOfDifference(OfRearChamber, OwnDifferenceTerm):
+class RearFlowOfDifference(RearFlow, OwnDifferenceTerm):
     """dp/dt of the rear chamber changes by a function f of its difference p_set - p.
 
     f is a sum of the difference, its absolute value and its square.
@@ -318,13 +318,10 @@ class FillingOpeningOfOther(OpeningTerm):
         return x.filling
 
 
-class RearOpening(OpeningTerm):
+class RearOpening(RearFlow, ValveOpening):
     """1/k of the rear chamber changes by a function f of |p|."""
 
     title = "valve of the rear chamber whose opening depends on the pressure"
-
-    def acts(self, x):
-        return x.rear > 0
 
 
 class OpeningOfDifference(OpeningTerm):
@@ -358,40 +355,24 @@ class RearOpeningOfDifference(OpeningOfDifference):
         return x.rear > 0
 
 
-class OpeningDriftTerm(CubicDrift, Flow):
-    """1/k changes by a function f of the time t of the trial. The state of a chamber is t."""
+class OpeningDrift(CubicDrift, Flow):
+    """1/k of both chambers changes by a function of the time t. The state of a chamber is t."""
 
+    title = "valves whose opening drifts during a trial"
     states = 1
     term_curve = Curve("time t", "s", "change of 1/k divided by 12.5 1/s", "-")
 
-    @abstractmethod
-    def acts(self, x: Chamber) -> Array:
-        """Returns whether f acts in the chambers."""
-
     def rate(self, rate, x):
-        change = OPENING * self.at(x.states[0]) * (x.p_set - x.p)
-        return rate + jnp.where(self.acts(x), change, 0.0)
+        return rate + OPENING * self.at(x.states[0]) * (x.p_set - x.p)
 
     def state_rates(self, rate, x):
         return jnp.ones_like(x.states)
 
 
-class OpeningDrift(OpeningDriftTerm):
-    """1/k of both chambers changes by a function of the time t."""
-
-    title = "valves whose opening drifts during a trial"
-
-    def acts(self, x):
-        return jnp.ones_like(x.filling)
-
-
-class RearOpeningDrift(OpeningDriftTerm):
+class RearOpeningDrift(RearFlow, OpeningDrift):
     """1/k of the rear chamber changes by a function of the time t."""
 
     title = "valve of the rear chamber whose opening drifts during a trial"
-
-    def acts(self, x):
-        return x.rear > 0
 
 
 class OpeningOfSum(OpeningTerm):

@@ -88,6 +88,13 @@ class FrontSensorTerm(SensorTerm):
         return super().read(true)._replace(p_rear=true.p_rear)
 
 
+class RearReading:
+    """The sensor of the rear pressure; only its reading changes."""
+
+    def read(self, true):
+        return super().read(true)._replace(p_front=true.p_front)  # type: ignore[misc]
+
+
 class OfPressure:
     """The sensors of the pressures."""
 
