@@ -357,7 +357,8 @@ def learned_record(learning: Learning, true: Mapping[str, np.ndarray]) -> dict[s
     """Returns the learned terms, their place, and the errors without and with the function.
 
     `true` are the readings without noise (channels, samples) of each trial's file. `distance` is
-    the rms difference between predicted and true readings in the tested trials.
+    the rms difference between predicted and true readings in the tested trials: of the calibrated
+    model without any effect (`refit`), and without and with the function.
     """
     model = learning.model
     if model is None:
@@ -367,10 +368,15 @@ def learned_record(learning: Learning, true: Mapping[str, np.ndarray]) -> dict[s
         replace(r, values=np.where(np.isfinite(r.values), true[r.trial.file], np.nan))
         for r in rest.records
     ]
-    before, after = (
-        rms_errors(replace(rest, records=noiseless), rest.predict(x.theta))
-        for x in (model.dictionary.start, model.fit)
-    )
+    alone = part_of(learning.outcome.problem, model.tested)
+    predictions = {
+        "refit": alone.predict(learning.outcome.search.base.theta),
+        "before": rest.predict(model.dictionary.start.theta),
+        "after": rest.predict(model.fit.theta),
+    }
+    distances = {
+        name: rms_errors(replace(rest, records=noiseless), y) for name, y in predictions.items()
+    }
     return {
         "reason": "",
         "terms": [*model.terms, *model.fine_parts],
@@ -379,7 +385,7 @@ def learned_record(learning: Learning, true: Mapping[str, np.ndarray]) -> dict[s
         "reaches_floor": learning.reaches_floor,
         "replaced_effects": model.dictionary.replaced,
         "errors": model.errors,
-        "distance": {c: {"before": before[c], "after": after[c]} for c in after},
+        "distance": {c: {name: x[c] for name, x in distances.items()} for c in distances["after"]},
     }
 
 

@@ -131,18 +131,20 @@ def rated_location(case: dict[str, Any]) -> str:
     return "right place" if set(channels) & set(truth.channels) else "wrong place"
 
 
-def removed_excess(case: dict[str, Any]) -> float | None:
+def removed_excess(case: dict[str, Any], of: str = "before") -> float | None:
     """Returns the fraction of the excess error that a learned function removes, in tested trials.
 
     The excess error is the rms difference between predicted and true readings. The mean over the
-    channels is weighted by the inverse noise floors. None: nothing was learned.
+    channels is weighted by the inverse noise floors. `of` is the model whose excess error is 1: the
+    model "before" the function, or the calibrated model without any effect, "refit". None: nothing
+    was learned.
     """
     learned = case.get("learned", {})
     before, after = (
         sum((x[key] / learned["errors"][c]["floor"]) ** 2 for c, x in learned["distance"].items())
         if "distance" in learned
         else 0.0
-        for key in ("before", "after")
+        for key in (of, "after")
     )
     return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else None
 
@@ -281,6 +283,9 @@ def _outside_table(kind: str, outside: Sequence[dict[str, Any]]) -> str:
     lines.append(f"- a function was learned: {_share(learned)}")
     enough = [x is not None and x >= REMOVED for x in shares]
     lines.append(f"- it removes {REMOVED:.0%} of the excess on held-out trials: {_share(enough)}")
+    whole = [removed_excess(x, "refit") for x in outside]
+    enough = [x is not None and x >= REMOVED for x in whole]
+    lines.append(f"- the same, with the corrections beside it: {_share(enough)}")
     for rating, share, x in zip(ratings, shares, outside, strict=True):
         removed = "nothing learned" if share is None else f"{share:.0%} of the excess removed"
         lines.append(f"{_case_line(x)}: {rating}, {removed}")

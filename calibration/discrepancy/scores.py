@@ -40,10 +40,17 @@ class Score(NamedTuple):
     """Cross-validated gain of each of these trials: S0 - S1, divided by the mean square."""
 
 
-def least_squares_step(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Returns the least-squares step of the parameters `index`; zero for all other parameters."""
+def least_squares_step(
+    A: np.ndarray, b: np.ndarray, index: np.ndarray, penalty: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Returns the least-squares step of the parameters `index`; zero for all other parameters.
+
+    `penalty` (k,) are the weights of the squared steps that are added to the sum of squares.
+    """
     step = np.zeros(len(b))
-    step[index] = inverse(A[np.ix_(index, index)]) @ b[index]
+    step[index] = (
+        inverse(A[np.ix_(index, index)] + np.diag(penalty + np.zeros(len(index)))) @ b[index]
+    )
     return step
 
 
@@ -65,18 +72,28 @@ def score(
     unit: float,
     many: int,
     settings: SelectionSettings = DEFAULT_SETTINGS,
+    ridge: float = 0.0,
+    earlier: Sequence[int] = (),
 ) -> Score:
     """Returns the score of the candidate with the parameters `group`.
 
     The parameters `group` and `free` are fitted together. `unit` is the residual's mean square and
-    `many` the number of candidates.
+    `many` the number of candidates. With a `ridge`, the fits penalise the squared steps of the
+    parameters `group` and `earlier`, a part of `free`. The weight of a step is `ridge` times the
+    parameter's information in all trials, with all other parameters `free` projected out. Source:
+    ridge regression, Hoerl, A. E. and Kennard, R. W. (1970), Technometrics 12, 55-67.
     """
     A, b = summed(blocks)
     both = np.concatenate([free, group])
-    step = least_squares_step(A, b, both)
-    gain = (
-        square_reduction(blocks, step) - square_reduction(blocks, least_squares_step(A, b, free))
-    ) / unit
+    penalty = np.zeros(len(both))
+    if ridge:
+        penalised = np.isin(both, [*earlier, *group])
+        information = marginal_information(A, both[penalised], both[~penalised])
+        penalty[penalised] = ridge * np.diag(information)
+    of_free = penalty[: len(free)]
+    step = least_squares_step(A, b, both, penalty)
+    before = least_squares_step(A, b, free, of_free)
+    gain = (square_reduction(blocks, step) - square_reduction(blocks, before)) / unit
     seen = {x.trial: 0.0 for x in blocks}
     for x in blocks:
         seen[x.trial] += float(step[group] @ x.A[np.ix_(group, group)] @ step[group])
@@ -86,7 +103,8 @@ def score(
         others = [x for x in blocks if x.trial != trial]
         held = [x for x in blocks if x.trial == trial]
         A_, b_ = summed(others) if others else (A, b)
-        with_it, without = least_squares_step(A_, b_, both), least_squares_step(A_, b_, free)
+        with_it = least_squares_step(A_, b_, both, penalty)
+        without = least_squares_step(A_, b_, free, of_free)
         S0, S1 = square_after(held, without), square_after(held, with_it)
         left_out.append(np.log(S0 / S1))
         held_gains.append((S0 - S1) / unit)

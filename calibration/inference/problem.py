@@ -324,6 +324,25 @@ class TankProblem(AbstractProblem):
             coarse_plans=[self.coarse_plans[i] for i in chosen],
         )
 
+    def during(self, chosen: Callable[[Record], np.ndarray]) -> "TankProblem":
+        """Returns the problem of only some readings.
+
+        `chosen` returns the mask (n,) of the samples of a record that the problem contains. The
+        simulations are the same, so both problems share their cache.
+        """
+        masks = [chosen(r) for r in self.records]
+        records = [
+            replace(r, values=np.where(mask, r.values, np.nan))
+            for r, mask in zip(self.records, masks, strict=True)
+        ]
+        noise = {}
+        for (i, channel), x in self.noise.items():
+            if records[i].has(channel):
+                there = self.records[i].there(channel)
+                white = np.broadcast_to(x.white, there.sum())[masks[i][there]]
+                noise[i, channel] = x if np.isscalar(x.white) else x._replace(white=white)
+        return replace(self, records=records, noise=noise, _stationary={})
+
     def on_coarse_mesh(self) -> "TankProblem":
         # The names of cached readings do not contain the mesh.
         return replace(self, fine=self.coarse_plans, memo=None)

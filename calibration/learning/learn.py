@@ -1,6 +1,6 @@
 """Learns the function that is missing in a model if no effect of the library explains the residual.
 
-One half of the trials selects terms from the dictionary (`pursuit`). The other half confirms the
+One half of each trial selects terms from the dictionary (`pursuit`). The other half confirms the
 selected terms. Both halves estimate the coefficients. The held-out trials test the result.
 """
 
@@ -13,6 +13,7 @@ import numpy as np
 from calibration.discrepancy.close_loop import LoopOutcome, growth_of_error
 from calibration.discrepancy.refits import Refits, effect_tangents
 from calibration.discrepancy.rounds import Growth, relative_changes, scoring_entries
+from calibration.discrepancy.settings import SelectionSettings
 from calibration.discrepancy.verdict import (
     CLASS,
     IDENTIFIED,
@@ -27,10 +28,10 @@ from calibration.inference.problem import FAILED, Swing, TankProblem, total
 from calibration.inference.uncertainty import widen_by_correlation
 from calibration.learning.frequencies import SinePeak, best_peak, sine_peaks
 from calibration.learning.pursuit import (
-    MIN_HALF,
+    MIN_TRIALS,
     PlaceGain,
     Stability,
-    halves,
+    in_selection,
     place_gains,
     pursue,
     stability,
@@ -38,6 +39,7 @@ from calibration.learning.pursuit import (
 from calibration.learning.states import OF_CHAMBERS, largest_states
 from calibration.model.extended import BASE, Parameter, base_values, base_vector, model_parameters
 from calibration.model.plan import TrialPlan
+from slider_jax.channels import CHANNELS
 from slider_jax.effects import Effect
 from slider_jax.effects.dictionary.details import DETAILS, FINE_PARTS, REAR_PARTS
 from slider_jax.effects.dictionary.sensor import SensorGainSine
@@ -83,34 +85,25 @@ class Dictionary:
         function use the same compiled programs.
         """
         assert isinstance(outcome.problem, TankProblem)
-        names = (*outcome.effects, *DICTIONARY)
-        entries = model_parameters(names)
-        known = {
-            (p.effect, p.name): i
-            for i, p in enumerate(outcome.entries)
-            if not p.effect or p.effect in effects
-        }
+        used, settings = outcome.used_trials, outcome.search.settings
         source = outcome.chosen if effects else outcome.search.base
+        if 0 < len(effects) < len(outcome.effects):
+            progress(f"fitting the model with only {', '.join(effects)}")
+            source = _with_only(outcome, effects, progress)
+        terms = _possible_terms(outcome.problem.part(used), source, settings)
+        names = (*outcome.effects, *terms)
+        entries = model_parameters(names)
+        known = {(p.effect, p.name): i for i, p in enumerate(outcome.entries)}
         theta = base_vector(entries, base_values(outcome.experiment))
         swing, free = theta.copy(), []
         for i, p in enumerate(entries):
             own = known.get((p.effect, p.name))
-            if own is not None:
+            if own is not None and (not p.effect or p.effect in effects):
                 entries[i], theta[i] = outcome.entries[own], source.theta[own]
                 free += [i] if own in source.free else []
-        start, problem = (
-            source._replace(theta=theta, free=np.array(free), linearised_at=None),
-            outcome.problem,
-        )
-        found = _extended(problem, names, swing)
-        if 0 < len(effects) < len(outcome.effects):
-            progress(f"fitting the model with only {', '.join(effects)}")
-            start = fit_gauss_newton(
-                found.part(outcome.used_trials), entries, theta, start.free, progress
-            )
-        theta = start.theta.copy()
-        floor = outcome.search.settings.noise_floor
-        peaks = sine_peaks(found.part(outcome.used_trials), start, floor)
+        start = source._replace(theta=theta, free=np.array(free), linearised_at=None)
+        found = _extended(outcome.problem, names, swing)
+        peaks = sine_peaks(found.part(used), start, settings.noise_floor)
         for i, p in enumerate(entries):
             if p.effect in DICTIONARY and p.is_shape:
                 kind = DICTIONARY[p.effect]
@@ -122,9 +115,7 @@ class Dictionary:
                 if p.name == "frequency":
                     low, high = x / FREQUENCY_RANGE, x * FREQUENCY_RANGE
                     entries[i] = p._replace(prior=p.prior._replace(low=low, high=high))
-        return cls(
-            outcome, list(effects), found, entries, start._replace(theta=theta, linearised_at=None)
-        )
+        return cls(outcome, list(effects), found, entries, start)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -159,24 +150,22 @@ class Dictionary:
         start = self.start._replace(theta=theta, free=free, linearised_at=None)
         return replace(self, problem=problem, entries=[*entries, *own], start=start), kept
 
-    def start_readings(self, chosen: Sequence[int]) -> list[np.ndarray]:
-        """Returns the predicted readings of `start` in the trials `chosen` (of all records)."""
-        used = self.outcome.used_trials
-        return [self.start.predicted[used.index(i)] for i in chosen]
-
     @cached_property
     def places(self) -> dict[str, dict[str, np.ndarray]]:
         """The indices of the terms' strengths, by place and term. Each sensor is a place."""
         scored = scoring_entries(self.entries)
         found: dict[str, dict[str, np.ndarray]] = {}
         for name, kind in DICTIONARY.items():
+            if name not in scored:
+                continue
             sensor = f" ({kind.sensors[0]})" if kind.place() == "Instrument" else ""
             found.setdefault(kind.place() + sensor, {})[name] = scored[name]
         return found
 
-    def search(self, chosen: Sequence[int], progress: Progress) -> list[PlaceGain]:
-        """Returns the result at each place from the trials `chosen`."""
-        problem, predicted = self.problem.part(chosen), self.start_readings(chosen)
+    def search(self, progress: Progress) -> list[PlaceGain]:
+        """Returns the result at each place from the readings of the selection."""
+        used = self.outcome.used_trials
+        problem, predicted = self.problem.part(used).during(in_selection), self.start.predicted
         theta, free = self.start.theta, self.start.free
         white = problem.whiteners(predicted)
         residuals = problem.residuals(predicted, white)
@@ -186,6 +175,32 @@ class Dictionary:
         refits = Refits(problem, self.entries, white, progress, settings)
         tangents = effect_tangents(problem, self.entries, theta, free, settings)
         return place_gains(refits, start, self.places, problem.whitened(tangents, white))
+
+
+def _with_only(outcome: LoopOutcome, effects: Sequence[str], progress: Progress) -> Fit:
+    """Returns the fit of the outcome's model with only some of its effects."""
+    assert isinstance(outcome.problem, TankProblem)
+    theta, free = outcome.chosen.theta.copy(), outcome.chosen.free
+    base = outcome.search.base.theta
+    others = [i for i, p in enumerate(outcome.entries) if p.effect and p.effect not in effects]
+    theta[others] = base[others]
+    problem = outcome.problem.part(outcome.used_trials)
+    return fit_gauss_newton(problem, outcome.entries, theta, np.setdiff1d(free, others), progress)
+
+
+def _possible_terms(problem: TankProblem, fit: Fit, settings: SelectionSettings) -> list[str]:
+    """Returns the terms that can cause the residual of a fit.
+
+    If the residual of a pressure is above the noise floor, these are the terms that change the
+    pressures: forces and motion change a pressure only slightly.
+    """
+    found = tested_excess(problem, fit)
+    pressures = [
+        c
+        for c, x in found.items()
+        if CHANNELS[c].kind == "pressure" and x.all > settings.noise_floor
+    ]
+    return [n for n, kind in DICTIONARY.items() if not pressures or "pressure" in kind.sensors]
 
 
 def _extended(problem: TankProblem, names: tuple[str, ...], swing: np.ndarray) -> TankProblem:
@@ -213,7 +228,7 @@ class LearnedModel:
     problem: TankProblem
     """The fit problem of the trials that were not held out."""
     stability: dict[str, Stability]
-    """p-value of each term in the estimation trials, and its change in the fit to both halves."""
+    """p-value of each term in the estimation half, and its change in the fit to both halves."""
     errors: dict[str, dict[str, float]]
     """`channel_errors` without and with the function, on the trials `tested`."""
     growth: Growth
@@ -243,10 +258,6 @@ class Learning:
     """Result of the search for a learned function."""
 
     outcome: LoopOutcome
-    selection: list[int] = field(default_factory=list)
-    """Trials (indices of all records) that select the terms."""
-    estimation: list[int] = field(default_factory=list)
-    """Trials that confirm the terms. The final coefficients are estimated from both halves."""
     places: list[PlaceGain] = field(default_factory=list)
     """Result at each place: the place of the learned function, then the others, best first."""
     refused: dict[str, str] = field(default_factory=dict)
@@ -292,23 +303,21 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
     if not several and outcome.verdict not in (PARTLY, UNEXPLAINED):
         return None
     used = outcome.used_trials
-    parts = halves([outcome.problem.records[i].trial.frequency for i in used])
-    if len(parts[1]) < MIN_HALF:
+    if len(used) < MIN_TRIALS:
         if several:
             return None
         few = Learning(outcome)
         few.reason = (
-            f"only {len(used)} trials were not held out; each half needs {MIN_HALF} trials, so an "
-            f"experiment with eight usable trials is enough"
+            f"only {len(used)} trials were not held out; a function needs {MIN_TRIALS} "
+            f"of these trials, so an experiment with eight usable trials is enough"
         )
         return few
     assert isinstance(outcome.problem, TankProblem)
     scales = largest_states(outcome.problem.part(used), outcome.chosen)
-    selection, estimation = ([used[k] for k in part] for part in parts)
 
     def learned(effects: Sequence[str]) -> Learning:
         known = Dictionary.of(outcome, effects, scales, progress)
-        return _learned(Learning(outcome, selection, estimation), known, progress)
+        return _learned(Learning(outcome), known, progress)
 
     if several:
         progress(f"testing whether a function replaces {', '.join(outcome.effects)}")
@@ -384,8 +393,8 @@ def _replaces_effects(learned: LearnedModel, outcome: LoopOutcome) -> bool:
 def _learned(found: Learning, known: Dictionary, progress: Progress) -> Learning:
     """Selects and estimates terms of the dictionary. Returns `found` with the result."""
     beside = f" beside {', '.join(known.effects)}" if known.effects else ""
-    progress(f"scoring {len(DICTIONARY)} terms of the dictionary{beside}")
-    found.places = known.search(found.selection, progress)
+    progress(f"scoring {sum(map(len, known.places.values()))} terms of the dictionary{beside}")
+    found.places = known.search(progress)
     tried = [x for x in found.places if x.groups]
     many = sum(len(x.groups) for x in tried)
     for place in tried:
@@ -410,7 +419,8 @@ def _estimate(
     search begins again. `many` is the number of selected terms of all places; the p-values are
     corrected for it.
     """
-    half, both = (known.problem.part(x) for x in (found.estimation, found.outcome.used_trials))
+    both = known.problem.part(found.outcome.used_trials)
+    half = both.during(lambda record: ~in_selection(record))
     groups, terms, theta = scoring_entries(known.entries), best.groups, best.fit.theta
     while terms:
         progress(f"estimating {', '.join(terms)}")
@@ -527,7 +537,7 @@ def _conclude(
     outcome, problem = found.outcome, known.problem.part(found.outcome.used_trials)
     tested = outcome.held or outcome.used_trials
     assert isinstance(outcome.problem, TankProblem)
-    own = known.start_readings(outcome.used_trials)
+    own = known.start.predicted
     sizes = relative_changes(problem, own, fit.predicted)
     limits = problem.discrepancies
     if not any(x > limits[c] for c, x in sizes.items()):

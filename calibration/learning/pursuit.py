@@ -20,11 +20,15 @@ from calibration.discrepancy.scores import Score, score
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.gauss_newton import Fit, inverse, marginal_information
 from calibration.inference.problem import ChannelBlock, normal_equations, summed
+from calibration.measurements.records import Record
 
 MAX_GROUPS = 3
 """Largest number of groups of a learned function."""
-MIN_HALF = 3
-"""Smallest number of trials in each half, because cross-validation needs three trials."""
+PARTS = 4
+"""Number of parts of a trial, which alternately select and estimate groups."""
+MIN_TRIALS = 6
+"""Smallest number of trials. With fewer trials, cross-validation hardly tests whether a function is
+also valid under other conditions."""
 CONFIRMATION_P = 0.01
 """The estimation half confirms a group if the p-value of its gain, corrected for the selected
 groups of all places, is below this value."""
@@ -34,6 +38,9 @@ START_SHARES = (1.0, 0.3)
 """A refit starts at these fractions of the linear step, because the whole step can be too long."""
 MAX_PLACES = 3
 """Largest number of places at which the pursuit refits groups."""
+RIDGE = 0.01
+"""Ridge of the scores. Without a ridge, functions that resemble each other in short trials can have
+large, opposite factors, and fail in a longer trial."""
 UNSTABLE_CHANGE = 0.5
 """A group is unstable if the function of the group changes by more than this fraction when one
 trial is left out. If a parameter changes its sign, its relative change exceeds 1."""
@@ -75,10 +82,12 @@ class Stability(NamedTuple):
         return self.significant and self.change < UNSTABLE_CHANGE
 
 
-def halves(frequencies: Sequence[float | None]) -> tuple[list[int], list[int]]:
-    """Returns the indices of every second trial, sorted by frequency, and of the other trials."""
-    order = sorted(range(len(frequencies)), key=lambda i: (frequencies[i] or 0.0, i))
-    return sorted(order[::2]), sorted(order[1::2])
+def in_selection(record: Record) -> np.ndarray:
+    """Returns the mask (n,) of the samples that select groups: two of four parts of the trial.
+
+    The other samples estimate the groups. All conditions therefore occur in both halves.
+    """
+    return np.floor(PARTS * record.t / record.trial.duration) % 2 == 0
 
 
 def _required_gain(count: int, many: int, settings: SelectionSettings) -> float:
@@ -92,15 +101,36 @@ def _surplus(refits: Refits, current: Fit, fit: Fit, many: int) -> float:
     return gain - _required_gain(len(fit.free) - len(current.free), many, refits.settings)
 
 
+def _predicts(x: Score, settings: SelectionSettings) -> bool:
+    """Returns whether cross-validation confirms a group.
+
+    A group only approximates the missing law, so it may increase the error of some trials. As in
+    the selection of effects, the gain without the best trial must be large. A loss is compared with
+    the sum of all gains.
+    """
+    found = agreement(x.left_out, x.held_gains)
+    gains = float(np.sum(np.maximum(x.held_gains, 0.0)))
+    small = -found.least_gain <= settings.most_loss_share * gains
+    return found.agreed(settings) or (found.rest_gain > settings.least_rest_gain and small)
+
+
 def _short_list(
-    refits: Refits, current: Fit, groups: Groups, blocks: Sequence[ChannelBlock], many: int
+    refits: Refits,
+    current: Fit,
+    groups: Groups,
+    blocks: Sequence[ChannelBlock],
+    many: int,
+    earlier: Sequence[int] = (),
 ) -> list[tuple[float, Score]]:
-    """Returns significant groups that cross-validation confirms: (surplus, score), best first."""
-    found, settings = [], refits.settings
+    """Returns significant groups that cross-validation confirms: (surplus, score), best first.
+
+    `earlier` are the parameters of the groups that were chosen before.
+    """
+    found, settings, unit = [], refits.settings, current.inflation
     for name, group in groups.items():
-        x = score(name, group, current.free, blocks, current.inflation, many, settings)
+        x = score(name, group, current.free, blocks, unit, many, settings, RIDGE, earlier)
         surplus = x.gain - _required_gain(len(group), many, settings)
-        if surplus > 0.0 and agreement(x.left_out, x.held_gains).agreed(settings):
+        if surplus > 0.0 and _predicts(x, settings):
             found.append((surplus, x))
     return sorted(found, key=lambda pair: -pair[0])
 
@@ -117,7 +147,9 @@ def pursue(
     while len(chosen) < MAX_GROUPS:
         residuals = refits.problem.residuals(current.predicted, refits.white)
         rest = {name: x for name, x in groups.items() if name not in chosen}
-        scores = _short_list(refits, current, rest, normal_equations(residuals, J), many)
+        blocks = normal_equations(residuals, J)
+        earlier = [i for name in chosen for i in groups[name]]
+        scores = _short_list(refits, current, rest, blocks, many, earlier)
         lanes = [(x, share) for _, x in scores[:SHORT_LIST] for share in START_SHARES]
         starts = [
             FitStart(

@@ -43,8 +43,7 @@ def learned_record(
     found: dict[str, Any] = {
         "status": LEARNED if learned else None,
         "reason": learning.reason,
-        "selection_trials": [records[i].trial.file for i in learning.selection],
-        "estimation_trials": [records[i].trial.file for i in learning.estimation],
+        "trials": [records[i].trial.file for i in learning.outcome.used_trials],
         "places": [
             {"place": x.place, "terms": x.groups, "gain": x.gain, "surplus": x.surplus}
             for x in learning.places

@@ -254,39 +254,49 @@ class Drift(eqx.Module):
         return self.a * first + self.b * second
 
 
-class CubicDrift(Powers):
-    """A drift a q + b q^2 + c q^3 with q = t/scale and the time t of the trial."""
+SETTLING_TIMES = (0.3, 0.1)
+"""Time constants of a drift that settles, divided by the duration of the longest trials."""
+
+
+class TimeFunction(Powers):
+    """A function a q + b (1 - exp(-q/0.3)) + c (1 - exp(-q/0.1)) with q = t/scale.
+
+    t is the time of the trial. The first function is a steady drift, and the others settle. Unlike
+    powers of t, they hardly grow after the end of shorter trials.
+    """
 
     scale: Scalar = shape_parameter(2.0, 1e-2, 1e5, "s", "the durations of trials")
-    """Time after which the drift is constant. A learned function uses the 99.5 % quantile of t."""
+    """Time after which the function is constant. A learned function uses the 99.5 % quantile of t.
+    """
+
+    def basis(self, z: Array) -> Basis:
+        """Returns the basis functions at the time z."""
+        q = jnp.clip(z / self.scale, 0.0, 1.0)
+        slow, fast = (-jnp.expm1(-q / x) for x in SETTLING_TIMES)
+        return q, slow, fast
+
+    def at(self, t: Array) -> Array:
+        """Returns the function at the time `t` [s]."""
+        return self.total(self.basis(t))
+
+
+class RigDrift(TimeFunction):
+    """A drift of the rig."""
 
     def state(self, x: Readings) -> Array:
         """Returns the time [s]."""
         return x.t
 
-    def basis(self, z: Array) -> Basis:
-        """Returns the basis functions at the time z."""
-        q = jnp.clip(z / self.scale, 0.0, 1.0)
-        return q, q**2, q**3
 
-    def at(self, t: Array) -> Array:
-        """Returns the drift at the time `t` [s]."""
-        return self.total(self.basis(t))
-
-
-class LocalDrift(InPart, Drift):
-    """A drift a q + b q^2 of a property of the robot, with q = t/scale and the time t."""
+class LocalDrift(InPart, TimeFunction):
+    """A drift of a property of the robot."""
 
     a: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY_DRIFT)
-    """a, drift."""
+    """a, steady drift."""
     b: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY_DRIFT)
-    """b, change of the drift."""
-    scale: Scalar = shape_parameter(2.0, 1e-2, 1e5, "s", "the durations of trials")
-    """Time after which the drift is constant. A learned function uses the 99.5 % quantile of t."""
-
-    def basis(self, z):
-        q = jnp.clip(z / self.scale, 0.0, 1.0)
-        return q, q**2
+    """b, drift that settles slowly."""
+    c: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY_DRIFT)
+    """c, drift that settles fast."""
 
     def state(self, x: Section) -> Array:
         """Returns the time in each cell."""
@@ -294,7 +304,7 @@ class LocalDrift(InPart, Drift):
 
     def in_cells(self, x: Section) -> Array:
         """Returns the drift in the cells of the part, and 0 in the other cells."""
-        return self.cells(x) * self.drift(self.state(x))
+        return self.cells(x) * self.at(self.state(x))
 
 
 class Sine(eqx.Module):

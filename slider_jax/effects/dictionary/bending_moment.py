@@ -522,10 +522,7 @@ class StiffnessOfRecentBending(CurvatureTerm):
 
 
 class MomentDrift(LocalDrift, BendingMoment):
-    """M = c p/(200 kPa) (a q + b q^2) in the body, with c = 0.05 N m, q = t/scale and the time t.
-
-    p is the pressure of the chamber.
-    """
+    """M = M_0 f(t) p/(200 kPa) in the body, with M_0 = 0.05 N m and the chamber's pressure p."""
 
     title = "moment of the chambers that drifts during a trial"
     segments = ("body",)
@@ -536,7 +533,7 @@ class MomentDrift(LocalDrift, BendingMoment):
 
 
 class StiffnessDrift(LocalDrift, BendingMoment):
-    """M = EI (a q + b q^2) kappa in the body, with q = t/scale and the time t of the trial."""
+    """M = EI f(t) kappa in the body."""
 
     title = "stiffness of the body that drifts during a trial"
     segments = ("body",)
@@ -547,7 +544,7 @@ class StiffnessDrift(LocalDrift, BendingMoment):
 
 
 class DampingDrift(LocalDrift, BendingMoment):
-    """M = EI c (a q + b q^2) d(kappa)/dt in the body, with c = 0.05 s and q = t/scale."""
+    """M = EI tau f(t) d(kappa)/dt in the body, with tau = 0.05 s."""
 
     title = "damping of the body that drifts during a trial"
     segments = ("body",)

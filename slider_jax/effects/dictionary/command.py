@@ -5,14 +5,15 @@ from abc import abstractmethod
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from slider_jax.actuation.waveform import Segment, Shaped, Waveform
+from slider_jax.actuation.waveform import Delayed, Segment, Shaped, Waveform
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Chamber, Command, Curve, shape_parameter
+from slider_jax.effects.base import Chamber, Command, Curve, parameter, shape_parameter
 from slider_jax.effects.dictionary.flow import WHY_SCALE
 from slider_jax.effects.functions import (
+    WHY_FACTOR,
     Basis,
-    CubicDrift,
     Powers,
+    RigDrift,
     even_powers,
     mixed_powers,
     odd_corners,
@@ -25,9 +26,9 @@ GAIN = 0.1
 """Relative change of the set pressure that one unit of a gain's parameters causes."""
 PRESSURE = 20e3
 """Pressure [Pa] that one unit of a term's parameters adds: a tenth of a typical pressure."""
-ITERATIONS = 3
+ITERATIONS = 5
 """Fixed-point iterations for the time of an edge. Each multiplies the error by the rate of the
-delay, which is about 0.01."""
+delay, which is about 0.01, and 0.2 for the fastest drift."""
 
 
 class RearCommand:
@@ -41,7 +42,7 @@ class Drifting(Waveform):
     """`wave` at the times t - d(t), with a delay d that changes slowly."""
 
     wave: Waveform
-    drift: CubicDrift
+    drift: RigDrift
 
     def _delay(self, t: Array) -> Array:
         return DELAY * self.drift.at(t)
@@ -57,7 +58,7 @@ class Drifting(Waveform):
         return Segment(t0, t, t1, x.a0, x.a1, x.b0, x.b1)
 
 
-class SetPressureDelayDrift(CubicDrift, Command):
+class SetPressureDelayDrift(RigDrift, Command):
     """p_set,valve(t) = p_set(t - d(t)), with a delay d that is a function of the time t."""
 
     title = "delay of the set pressure that drifts during a trial"
@@ -67,6 +68,55 @@ class SetPressureDelayDrift(CubicDrift, Command):
         return Drifting(wave, self)
 
 
+class EdgeDelayed(Waveform):
+    """`wave` with the delay `up` [s] while it rises, and the delay `down` [s] while it falls.
+
+    The difference of the delays must be shorter than the time between two edges.
+    """
+
+    wave: Waveform
+    up: Scalar
+    down: Scalar
+
+    def segment(self, t0, t1):
+        up, down = (Delayed(self.wave, x).segment(t0, t1) for x in (self.up, self.down))
+        rises, falls = up.b1 > up.a0, down.b1 < down.a0
+        # Between the edges of `up` and `down`, the edge with the longer delay is still to come.
+        lower = jnp.asarray(self.up) >= self.down
+
+        def choose(u, d):
+            between = jnp.where(lower, jnp.minimum(u, d), jnp.maximum(u, d))
+            return jnp.where(rises, u, jnp.where(falls, d, between))
+
+        ends = (choose(getattr(up, x), getattr(down, x)) for x in ("a0", "a1", "b0", "b1"))
+        t_break = jnp.where(rises, up.t_break, jnp.where(falls, down.t_break, t1))
+        return Segment(t0, t_break, t1, *ends)
+
+
+class SetPressureDelayOfEdges(Command):
+    """The set pressure is delayed by 2 ms times a while it rises, and times b while it falls."""
+
+    title = "different delays of the set pressure while it rises and while it falls"
+    term_curve = Curve("sign of p_set - p", "-", "delay divided by 2 ms", "-")
+
+    a: Scalar = parameter(0.0, -20.0, 20.0, "-", WHY_FACTOR)
+    """a, delay of rising edges."""
+    b: Scalar = parameter(0.0, -20.0, 20.0, "-", WHY_FACTOR)
+    """b, delay of falling edges."""
+
+    def state(self, x: Chamber) -> Array:
+        """Returns 1 if the pressures rise, and -1 if they fall."""
+        return jnp.sign(x.p_set - x.p)
+
+    def basis(self, z: Array) -> tuple[Array, Array]:
+        """Returns whether z is positive, and whether it is not."""
+        rises = jnp.where(z > 0.0, 1.0, 0.0)
+        return rises, 1.0 - rises
+
+    def command(self, wave, chamber):
+        return EdgeDelayed(wave, DELAY * self.a, DELAY * self.b)
+
+
 class Scaled(Waveform):
     """`wave` times a gain that changes slowly.
 
@@ -74,7 +124,7 @@ class Scaled(Waveform):
     """
 
     wave: Waveform
-    drift: CubicDrift
+    drift: RigDrift
 
     def segment(self, t0, t1):
         x = self.wave.segment(t0, t1)
@@ -83,7 +133,7 @@ class Scaled(Waveform):
         return Segment(x.t0, x.t_break, x.t1, *ends)
 
 
-class SetPressureGainDrift(CubicDrift, Command):
+class SetPressureGainDrift(RigDrift, Command):
     """p_set,valve = (1 + g(t)) p_set, with a gain error g that is a function of the time t."""
 
     title = "gain of the set pressure that drifts during a trial"

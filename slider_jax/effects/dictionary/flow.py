@@ -10,8 +10,8 @@ from slider_jax.effects.base import Chamber, Curve, Flow, Readings, shape_parame
 from slider_jax.effects.functions import (
     MEMORY_TIMES,
     Basis,
-    CubicDrift,
     Powers,
+    RigDrift,
     even_powers,
     mixed_powers,
     odd_corners,
@@ -324,6 +324,46 @@ class RearOpening(RearFlow, ValveOpening):
     title = "valve of the rear chamber whose opening depends on the pressure"
 
 
+class OpeningOfSetPressure(OpeningTerm):
+    """1/k changes by a function f of the part of |p_set| with the sign of p, which fills."""
+
+    title = "valve whose opening depends on the set pressure"
+    term_curve = Curve("set pressure |p_set|", "Pa", "change of 1/k", "1/s")
+
+    def state(self, x):
+        return jnp.maximum(x.side * x.p_set, 0.0)
+
+    def acts(self, x):
+        return jnp.ones_like(x.filling)
+
+
+class OpeningOfOther(OpeningTerm):
+    """1/k of one chamber changes by a function f of |p| of the other chamber."""
+
+    term_curve = Curve("pressure |p_other|", "Pa", "change of 1/k", "1/s")
+
+    def state(self, x):
+        return other_chamber(jnp.abs(x.p))
+
+
+class FrontOpeningOfOther(OpeningOfOther):
+    """1/k of the front chamber changes by a function f of |p_rear|."""
+
+    title = "valve of the front chamber whose opening depends on the rear chamber's pressure"
+
+    def acts(self, x):
+        return x.rear == 0
+
+
+class RearOpeningOfOther(OpeningOfOther):
+    """1/k of the rear chamber changes by a function f of |p_front|."""
+
+    title = "valve of the rear chamber whose opening depends on the front chamber's pressure"
+
+    def acts(self, x):
+        return x.rear > 0
+
+
 class OpeningOfDifference(OpeningTerm):
     """1/k of one chamber changes by a function f of the difference |p_other| - |p|."""
 
@@ -340,7 +380,7 @@ class OpeningOfDifference(OpeningTerm):
 class FrontOpeningOfDifference(OpeningOfDifference):
     """1/k of the front chamber changes by a function f of |p_rear| - |p_front|."""
 
-    title = "valve of the front chamber whose opening depends on the rear chamber's pressure"
+    title = "valve of the front chamber whose opening depends on the difference of the pressures"
 
     def acts(self, x):
         return x.rear == 0
@@ -349,13 +389,13 @@ class FrontOpeningOfDifference(OpeningOfDifference):
 class RearOpeningOfDifference(OpeningOfDifference):
     """1/k of the rear chamber changes by a function f of |p_front| - |p_rear|."""
 
-    title = "valve of the rear chamber whose opening depends on the front chamber's pressure"
+    title = "valve of the rear chamber whose opening depends on the difference of the pressures"
 
     def acts(self, x):
         return x.rear > 0
 
 
-class OpeningDrift(CubicDrift, Flow):
+class OpeningDrift(RigDrift, Flow):
     """1/k of both chambers changes by a function of the time t. The state of a chamber is t."""
 
     title = "valves whose opening drifts during a trial"

@@ -419,7 +419,7 @@ class AxialFrictionOfCrossflow(FactorTerm):
 
 
 class DragDrift(LocalDrift, ForceTerm):
-    """F_n = F (a q + b q^2) u_n |u_n| with F = 10 N/m, q = t/scale, and u_n in units of `SPEED`."""
+    """F_n = F f(t) u_n |u_n| with F = 10 N/m. u_n has the unit `SPEED`."""
 
     title = "drag that drifts during a trial"
     term_curve = Curve("time t", "s", "change of F_n at 0.5 m/s, divided by 10 N/m", "-")

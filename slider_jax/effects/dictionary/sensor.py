@@ -27,6 +27,8 @@ FRICTION_WIDTHS = (0.1, 0.3, 1.0)
 """Changes of a reading in which dry friction builds up, divided by the scale of the sensor."""
 DELAY = 0.02
 """Delay [s] that one unit of a delay's parameters causes: a frame of a camera at 50 Hz."""
+SETTLING_TIME = 0.5
+"""Time constant [s] of a drift that settles: a few strides."""
 RATE_TIME = 0.05
 """Time [s] that multiplies the rate of a reading: a quarter of a stride at 5 Hz."""
 WHY = "a sensor with an error as large as its scale is broken"
@@ -303,23 +305,23 @@ class SensorDelay(SensorPowers):
 
 
 class TimeTerm(Drift, SensorTerm):
-    """f depends on a t + b t^2, with the time t of the trial."""
+    """f depends on a t + b (1 - exp(-t/0.5 s)), with the time t of the trial."""
 
     a: Scalar = parameter(0.0, -1.0, 1.0, "1/s", WHY)
     """a, drift."""
-    b: Scalar = parameter(0.0, -1.0, 1.0, "1/s^2", WHY)
-    """b, change of the drift."""
+    b: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
+    """b, drift that settles."""
 
     def state(self, x: Readings) -> Array:
         """Returns the time [s]."""
         return x.t
 
     def basis(self, z):
-        return z, z**2
+        return z, -jnp.expm1(-z / SETTLING_TIME)
 
 
 class SensorDrift(TimeTerm):
-    """f = a t + b t^2."""
+    """f = a t + b (1 - exp(-t/0.5 s))."""
 
     term_curve = OF_TIME
 
@@ -328,7 +330,7 @@ class SensorDrift(TimeTerm):
 
 
 class SensorGainDrift(TimeTerm):
-    """f = (a t + b t^2) y/s, with the reading y."""
+    """f = (a t + b (1 - exp(-t/0.5 s))) y/s, with the reading y."""
 
     term_curve = OF_GAIN
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, WaterMotion, parameter, shape_parameter
-from slider_jax.effects.functions import CubicDrift, Sine
+from slider_jax.effects.functions import RigDrift, Sine
 
 DRIFT = 0.05
 """Velocity [m/s] that one unit of a drift's parameters adds."""
@@ -42,15 +42,12 @@ class WaterSineAcross(WaterSine):
         return jnp.zeros_like(t), self.at(t)
 
 
-class WaterDrift(CubicDrift, WaterMotion):
-    """A component of the water's velocity is 0.05 m/s times a q + b q^2 + c q^3.
-
-    q is t/scale, with the time t of the trial.
-    """
+class WaterDrift(RigDrift, WaterMotion):
+    """A component of the water's velocity is 0.05 m/s times a function of the time."""
 
     def basis(self, z):
-        q, square, cube = super().basis(z)
-        return DRIFT * q, DRIFT * square, DRIFT * cube
+        steady, slow, fast = super().basis(z)
+        return DRIFT * steady, DRIFT * slow, DRIFT * fast
 
 
 class WaterDriftAlong(WaterDrift):

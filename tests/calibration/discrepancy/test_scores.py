@@ -46,6 +46,28 @@ def test_the_gain_is_the_reduction_by_joint_least_squares():
     np.testing.assert_allclose(found.step[:4], exact, rtol=1e-9)
 
 
+def test_a_ridge_penalises_the_group_in_proportion_to_its_information():
+    J, r = rows()
+    found = score("x", GROUP, FREE, blocks(J, r), 1.0, 10, ridge=0.2)
+    flat = J[..., :4].reshape(-1, 4)
+    A, b = flat.T @ flat, flat.T @ r.ravel()
+    cross = np.linalg.solve(A[:2, :2], A[:2, 2:])
+    A[[2, 3], [2, 3]] += 0.2 * np.diag(A[2:, 2:] - A[2:, :2] @ cross)
+    np.testing.assert_allclose(found.step[:4], np.linalg.solve(A, b), rtol=1e-9)
+
+
+def test_with_a_ridge_short_trials_predict_a_longer_trial():
+    """Only the first trial shows that the two functions of the group differ."""
+    J, r = rows()
+    J[..., 3] = J[..., 2] + 0.05 * J[..., 3]
+    J[0, :, 3] *= 5.0
+    r = 0.1 * np.random.default_rng(1).normal(size=r.shape) + 0.3 * J[..., 2]
+    plain, ridged = (
+        score("x", GROUP, FREE, blocks(J, r), 0.01, 10, ridge=x).held_gains[0] for x in (0.0, 0.01)
+    )
+    assert plain < 0.0 < ridged
+
+
 def test_a_held_out_trial_is_predicted_from_the_other_trials():
     J, r = rows()
     found = score("x", GROUP, FREE, blocks(J, r), 1.0, 10)

@@ -121,3 +121,25 @@ def test_problems_of_different_trials_share_the_cache_of_each_trial(monkeypatch,
     for path in tmp_path.iterdir():
         path.write_bytes(b"damaged")
     np.testing.assert_array_equal(cached.predict(theta), expected[0])
+
+
+def test_a_problem_of_some_readings_has_only_these_and_their_noise(monkeypatch):
+    tank.replace_the_beam(monkeypatch)
+    theta = np.array([3.0, 0.7, 0.08, 4.5e-7])
+    experiment = tank.experiment_of((1.5, 1.8))
+    whole = tank.problem_of(experiment, tank.measured(experiment, [theta] * 2, 0))
+    n = len(whole.records[0].t)
+    white = np.linspace(0.5, 1.5, n)
+    uneven = whole.noise[0, "tip"]._replace(white=white)
+    whole = replace(whole, noise=whole.noise | {(0, "tip"): uneven})
+    part = whole.during(lambda record: record.t < 0.5 * record.t[-1])
+    early = whole.records[0].t < 0.5 * whole.records[0].t[-1]
+    assert part.records[0].there("tip").tolist() == early.tolist()
+    np.testing.assert_array_equal(part.noise[0, "tip"].white, white[early])
+    assert part.noise[1, "tip"] == whole.noise[1, "tip"]
+    predicted = part.predict(theta)
+    residuals = part.residuals(predicted, part.whiteners(predicted))
+    assert residuals.keys() == whole.noise.keys()
+    assert all(len(r) == early.sum() for r in residuals.values())
+    one = whole.during(lambda record: np.full(n, record.trial is experiment.trials[0]))
+    assert {i for i, _ in one.noise} == {0}

@@ -110,7 +110,7 @@ def test_the_next_place_is_tried_if_the_other_trials_refuse_the_best(
     monkeypatch.setattr(learn, "_estimate", estimate)
     settings = SimpleNamespace(equal_gain_share=0.95)
     outcome = SimpleNamespace(search=SimpleNamespace(settings=settings))
-    known = SimpleNamespace(effects=[], search=lambda chosen, progress: list(places))
+    known = SimpleNamespace(effects=[], places={}, search=lambda progress: list(places))
     found = learn._learned(Learning(outcome), known, print)
     assert [x.place for x in found.places] == order and list(found.refused) == refused
     assert found.reason == ("" if confirmed else "Flow is refused")
@@ -124,7 +124,7 @@ def test_the_next_place_is_tried_if_the_other_trials_refuse_the_best(
 def test_without_a_significant_term_nothing_is_estimated(monkeypatch):
     monkeypatch.setattr(learn, "_estimate", None)
     places = [PlaceGain("Flow", [], 0.0, 0.0, None)]
-    known = SimpleNamespace(effects=[], search=lambda chosen, progress: places)
+    known = SimpleNamespace(effects=[], places={}, search=lambda progress: places)
     found = learn._learned(Learning(None), known, print)
     assert found.model is None and "no term" in found.reason and not found.refused
 

@@ -1,19 +1,23 @@
-"""How the other half of the trials confirms terms, and how both halves estimate them."""
+"""How the other half of the readings confirms terms, and how both halves estimate them."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.gauss_newton import Fit
+from calibration.inference.goodness import Excess
 from calibration.inference.problem import FAILED, ChannelBlock
 from calibration.learning import learn
 from calibration.learning.learn import Dictionary, Learning
 from calibration.learning.pursuit import PlaceGain
 from calibration.model.extended import Parameter, model_parameters
 from slider_jax.effects import Prior
+from slider_jax.effects.library import DICTIONARY
 
-HALF, BOTH = [1, 3, 5], [0, 1, 2, 3, 4, 5]
+TRIALS = [0, 1, 2, 3, 4, 5]
+HALF, BOTH = "half", "both"
 PRIOR = Prior(0.0, -20.0, 20.0, "-", "")
 
 
@@ -22,10 +26,10 @@ ENTRIES = [Parameter("", "k", PRIOR), *(Parameter(name, "a", PRIOR) for name in 
 
 
 def estimate(monkeypatch, values, pulls, largest=np.inf, finer=None, accepted=lambda known: True):
-    """Returns the learning, the fits as (trials, terms, start), and the arguments of `_conclude`.
+    """Returns the learning, the fits as (readings, terms, start), and the arguments of `_conclude`.
 
     A fit ends at the `values` of the terms FIRST and SECOND. `pulls` (trials, terms) are the
-    gradients that remain in the trials of BOTH. A fit that starts beyond `largest` fails. `finer`
+    gradients that remain in each of the TRIALS. A fit that starts beyond `largest` fails. `finer`
     is the model with details, and `accepted` the test on the held-out trials.
     """
     entries = ENTRIES
@@ -33,14 +37,14 @@ def estimate(monkeypatch, values, pulls, largest=np.inf, finer=None, accepted=la
 
     def fitted(problem, entries, theta, free, progress):
         names = [entries[i].effect for i in free[1:]]
-        fits.append((problem, names, theta[1:].tolist()))
+        fits.append((problem.readings, names, theta[1:].tolist()))
         failed = np.abs(theta).max() > largest
         end = np.array([1.0, *values])
         b = np.array([[0.0, *pull] for pull in pulls])[:, free]
         A = 100.0 * np.eye(len(free))
         blocks = [
             ChannelBlock(i, "tip", A, np.full(len(A), np.nan) if failed else b[i], 0.0, 100)
-            for i in problem
+            for i in TRIALS
         ]
         theta = np.where(np.isin(np.arange(3), free), end, 0.0)
         return Fit(theta, free, FAILED if failed else 0.0, 300, blocks, [], not failed)
@@ -52,14 +56,17 @@ def estimate(monkeypatch, values, pulls, largest=np.inf, finer=None, accepted=la
     monkeypatch.setattr(learn, "_with_details", lambda *given: finer)
     monkeypatch.setattr(learn, "fit_gauss_newton", fitted)
     monkeypatch.setattr(learn, "_conclude", conclude)
+    both = SimpleNamespace(readings=BOTH, during=lambda mask: SimpleNamespace(readings=HALF))
     settings = SimpleNamespace(max_halvings=4)
-    outcome = SimpleNamespace(held=[6], used_trials=BOTH, search=SimpleNamespace(settings=settings))
+    outcome = SimpleNamespace(
+        held=[6], used_trials=TRIALS, search=SimpleNamespace(settings=settings)
+    )
     known = SimpleNamespace(
-        problem=SimpleNamespace(part=lambda chosen: chosen),
+        problem=SimpleNamespace(part=lambda chosen: both),
         entries=entries,
         start=SimpleNamespace(free=np.array([0])),
     )
-    found = Learning(outcome, [0, 2, 4], HALF)
+    found = Learning(outcome)
     start = SimpleNamespace(theta=np.array([1.0, 4.0, 4.0]))
     best = PlaceGain("Flow", [FIRST, SECOND], 9.0, 9.0, start)
     learn._estimate(found, known, best, 2, lambda text: None)
@@ -113,12 +120,12 @@ def test_a_function_that_cannot_be_simulated_is_refused(monkeypatch):
 
 
 def detailed(pull):
-    """A model with a detail. In the first of the trials of BOTH, `pull` pulls the detail."""
+    """A model with a detail. In the first of the TRIALS, `pull` pulls the detail."""
     entries = [*ENTRIES, Parameter("valve_opening_fine", "a", PRIOR)]
     pulls = [pull, *(5 * [-pull / 5.0])]
     blocks = [
         ChannelBlock(i, "tip", 100.0 * np.eye(4), np.array([0.0, 0.0, 0.0, x]), 0.0, 100)
-        for i, x in zip(BOTH, pulls, strict=True)
+        for i, x in zip(TRIALS, pulls, strict=True)
     ]
     fit = Fit(np.ones(4), np.arange(4), 0.0, 300, blocks, [], True)
     return SimpleNamespace(entries=entries), fit
@@ -161,3 +168,13 @@ def test_a_dictionary_of_details_keeps_the_fit_and_starts_details_at_their_null(
     scale = theta[[p.label for p in entries].index("valve_opening.scale")]
     for p, x in zip(found.entries[len(kept) :], found.start.theta[len(kept) :], strict=True):
         assert p.effect in details and x == (scale if p.is_shape else 0.0), p.label
+
+
+@pytest.mark.parametrize(("channel", "all_terms"), [("p_rear", False), ("tip", True)])
+def test_a_pressure_above_the_noise_floor_excludes_terms_of_forces(monkeypatch, channel, all_terms):
+    above = {c: Excess(np.ones(1), 1.6 if c == channel else 1.4) for c in ("p_rear", "tip")}
+    monkeypatch.setattr(learn, "tested_excess", lambda problem, fit: above)
+    terms = learn._possible_terms(None, None, DEFAULT_SETTINGS)
+    assert {"rear_opening", "pressure_reading_drift", "rear_set_pressure"} < set(terms)
+    assert ("drag_along_robot" in terms) == ("tip_reading_delay" in terms) == all_terms
+    assert all_terms == (terms == list(DICTIONARY))

@@ -63,8 +63,7 @@ def test_the_place_and_the_function_of_an_unknown_cause_are_learned(learned):
     outcome, learning = learned
     assert outcome.verdict in ("unexplained", "partly_explained")
     assert learning.places[0].place == "Flow" and not learning.equal_places
-    assert not set(learning.selection) & set(learning.estimation)
-    assert not set(outcome.held) & set(learning.selection + learning.estimation)
+    assert not set(outcome.held) & set(outcome.used_trials)
 
 
 def test_the_report_states_the_function_and_the_model_file_contains_it(learned, tmp_path):

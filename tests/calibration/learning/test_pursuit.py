@@ -1,15 +1,18 @@
 """The pursuit of dictionary terms on sums of known series."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from calibration.discrepancy.refits import Refits
-from calibration.discrepancy.rounds import Agreement
+from calibration.discrepancy.rounds import Agreement, agreement
+from calibration.discrepancy.scores import Score
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.problem import ChannelBlock, total
 from calibration.learning import pursuit
-from calibration.learning.pursuit import Stability, halves, place_gains, stability
+from calibration.learning.pursuit import Stability, in_selection, place_gains, stability
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
 from tests.support.sums import TRIALS, Sums
@@ -80,8 +83,9 @@ def test_noise_alone_has_no_group(monkeypatch):
     assert not any(x.groups for seed in range(100) for x in found([1.0] + 6 * [0.0], seed))
 
 
-def test_the_halves_alternate_in_frequency():
-    assert halves([3.0, 1.0, None, 2.0, 5.0, 4.0]) == ([2, 3, 5], [0, 1, 4])
+def test_the_halves_are_alternate_quarters_of_a_trial():
+    record = SimpleNamespace(t=np.arange(8) / 4.0, trial=SimpleNamespace(duration=2.0))
+    assert in_selection(record).tolist() == 2 * [True, True, False, False]
 
 
 def block(trial, A, b):
@@ -111,3 +115,12 @@ def test_a_group_without_a_significant_gain_is_not_confirmed():
 def test_the_fit_without_a_group_is_the_start():
     (best, *_) = found([1.0] + 6 * [0.0])
     assert isinstance(best.fit, Fit) and list(best.fit.free) == [0]
+
+
+@pytest.mark.parametrize(("loss", "confirmed"), [(-40.0, True), (-150.0, False)])
+def test_a_group_may_increase_the_error_of_a_trial_a_little(loss, confirmed):
+    """The gains without the best trial are 180, and all gains are 980."""
+    gains = np.array([loss, 30.0, 50.0, 100.0, 800.0])
+    x = Score("one", 1e3, 0.0, np.zeros(1), np.array([-0.5, 0.01, 0.02, 0.05, 0.3]), gains)
+    assert not agreement(x.left_out, gains).agreed()
+    assert pursuit._predicts(x, DEFAULT_SETTINGS) == confirmed

@@ -30,7 +30,7 @@ def test_terms_vanish_at_their_nulls_and_have_finite_tangents(name):
 
 
 def test_the_dictionary_is_no_part_of_the_library():
-    assert len(FILES) == 7 and len(DICTIONARY) == 153
+    assert len(FILES) == 7 and len(DICTIONARY) == 157
     assert not set(DICTIONARY) & (set(LIBRARY) | set(candidate_effects()))
 
 
@@ -97,7 +97,7 @@ def test_powers_are_constant_beyond_the_largest_visited_state():
         for kind in DICTIONARY.values()
         if issubclass(kind, Powers) and "scale" in kind.shapes()
     ]
-    assert len(scaled) == 108
+    assert len(scaled) == 115
     for term in scaled:
         ends = np.asarray(term.basis(term.scale * jnp.array([-3.0, -1.0, 1.0, 3.0])))
         np.testing.assert_allclose(ends[:, [0, 3]], ends[:, [1, 2]])
@@ -107,7 +107,7 @@ def test_a_drift_of_the_gain_is_proportional_to_the_reading():
     t = jnp.array([0.0, 1.0, 2.0])
     true = Readings(t, 1e5 * (1.0 + t), -2e5 * t, t, t, t)
     read = DICTIONARY["pressure_reading_gain_drift"](a=0.1, b=0.02).read(true)
-    gain = 1.0 + 0.1 * t + 0.02 * t**2
+    gain = 1.0 + 0.1 * t + 0.02 * (1.0 - np.exp(-2.0 * t))
     np.testing.assert_allclose(read.p_front, gain * true.p_front)
     np.testing.assert_allclose(read.p_rear, gain * true.p_rear)
     np.testing.assert_array_equal(read.tip, true.tip)
@@ -160,13 +160,14 @@ def test_the_damping_depends_on_the_pressure_of_the_chamber():
 
 
 @pytest.mark.parametrize(("t", "q"), [(2.0, 0.5), (9.0, 1.0)])
-def test_local_drifts_are_polynomials_of_the_time_up_to_their_scale(t, q):
+def test_local_drifts_are_steady_or_settle_up_to_their_scale(t, q):
     x = section(t=jnp.asarray(t), kappa=3.0 * Z, kappa_t=60.0 * Z, u_n=0.5 * Z)
-    drift, body = 0.1 * q - 0.02 * q**2, 1.0 - np.asarray(x.in_tail)
+    slow, fast = 1.0 - np.exp(-q / 0.3), 1.0 - np.exp(-q / 0.1)
+    drift, body = 0.1 * q - 0.02 * slow + 0.03 * fast, 1.0 - np.asarray(x.in_tail)
     for name in ("stiffness_drift", "damping_drift"):
-        found = moment(name, x, a=0.1, b=-0.02, scale=4.0)
+        found = moment(name, x, a=0.1, b=-0.02, c=0.03, scale=4.0)
         np.testing.assert_allclose(found, 3.0 * drift * body * Z)
-    F_tau, F_n = DICTIONARY["drag_drift"](a=0.1, b=-0.02, scale=4.0).force(x)
+    F_tau, F_n = DICTIONARY["drag_drift"](a=0.1, b=-0.02, c=0.03, scale=4.0).force(x)
     np.testing.assert_allclose(F_n, 10.0 * drift * Z * np.abs(Z))
     np.testing.assert_array_equal(F_tau, 0.0)
 
@@ -246,7 +247,8 @@ def test_the_stiffness_of_recent_bending_follows_the_mean_square_of_the_curvatur
 def test_the_moment_of_a_chamber_drifts_in_proportion_to_its_pressure():
     x = section(pressure=jnp.full(5, 100e3), t=jnp.asarray(1.0))
     found = moment("moment_drift", x, a=0.4, b=-0.2, scale=2.0) * x.EI
-    np.testing.assert_allclose(found[:3], 0.05 * 0.5 * (0.4 * 0.5 - 0.2 * 0.25))
+    drift = 0.4 * 0.5 - 0.2 * (1.0 - np.exp(-0.5 / 0.3))
+    np.testing.assert_allclose(found[:3], 0.05 * 0.5 * drift)
     np.testing.assert_array_equal(found[3:], 0.0)
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax.actuation.waveform import SquareWave
+from slider_jax.actuation.waveform import SineWave, SquareWave
 from slider_jax.effects import Chamber, Readings
 from slider_jax.effects.library import DICTIONARY
 
@@ -110,11 +110,15 @@ def test_a_normal_force_depends_on_both_velocities():
     np.testing.assert_allclose(found, 10.0 * MIXED * 0.5)
 
 
+def drift(q):
+    """Drift with the parameters FACTORS at the time q, divided by its scale."""
+    return 0.1 * q + 0.2 * (1.0 - np.exp(-q / 0.3)) + 0.4 * (1.0 - np.exp(-q / 0.1))
+
+
 @pytest.mark.parametrize(("name", "axis"), [("water_drift_along", 0), ("water_drift_across", 1)])
 def test_the_current_drifts_along_one_axis(name, axis):
     velocity = DICTIONARY[name](**FACTORS, scale=2.0).velocity(jnp.array([0.0, 1.0, 2.0, 5.0]))
-    half, whole = 0.05 + 0.05 + 0.05, 0.7
-    np.testing.assert_allclose(velocity[axis], 0.05 * np.array([0.0, half, whole, whole]))
+    np.testing.assert_allclose(velocity[axis], 0.05 * drift(np.array([0.0, 0.5, 1.0, 1.0])))
     np.testing.assert_array_equal(velocity[1 - axis], 0.0)
 
 
@@ -137,6 +141,21 @@ def test_the_opening_of_one_chamber_depends_on_the_difference(name, acts):
     found = DICTIONARY[f"{name}_opening_of_difference"](**FACTORS, scale=200e3).rate(rate, x)
     opening = 12.5 * np.array([0.05 + 0.1 + 0.1, -0.05 + 0.1 + 0.1])
     np.testing.assert_allclose(found, opening * 100e3 * np.array(acts))
+
+
+@pytest.mark.parametrize(("name", "acts"), [("front", [1.0, 0.0]), ("rear", [0.0, 1.0])])
+def test_the_opening_of_one_chamber_depends_on_the_other_chamber(name, acts):
+    x = chambers([-100e3, 100e3], [-150e3, 150e3])
+    found = DICTIONARY[f"{name}_opening_of_other"](**FACTORS, scale=200e3).rate(jnp.zeros(2), x)
+    opening = 12.5 * (0.05 + 0.05 + 0.05)
+    np.testing.assert_allclose(found, opening * np.array([-50e3, 50e3]) * np.array(acts))
+
+
+def test_only_a_set_pressure_with_the_sign_of_the_pressure_changes_the_opening():
+    x = chambers([-50e3, 50e3], [-100e3, -100e3])
+    term = DICTIONARY["opening_of_set_pressure"](**FACTORS, scale=200e3)
+    found = term.rate(jnp.zeros(2), x)
+    np.testing.assert_allclose(found, [12.5 * -50e3 * (0.05 + 0.05 + 0.05), 0.0])
 
 
 def test_the_opening_of_the_rear_chamber_depends_on_its_pressure():
@@ -180,10 +199,45 @@ def test_the_delay_of_the_set_pressure_drifts():
     x = late.segment(jnp.asarray(0.45), jnp.asarray(0.6))
     t = float(x.t_break)
     q = t / 2.0
-    assert t == pytest.approx(0.5 + 0.002 * (0.1 * q + 0.2 * q**2 + 0.4 * q**3), abs=1e-12)
+    assert t == pytest.approx(0.5 + 0.002 * drift(q), abs=1e-12)
     assert (float(x.a0), float(x.b1)) == (100e3, -100e3)
     none = late.segment(jnp.asarray(0.6), jnp.asarray(0.7))
     assert float(none.t_break) == 0.7 and float(none.a0) == float(none.b1) == -100e3
+
+
+@pytest.mark.parametrize(("up", "down"), [(3e-3, 1e-3), (1e-3, 3e-3), (-1e-3, 2e-3)])
+def test_rising_and_falling_edges_have_their_own_delays(up, down):
+    """The edges of the square wave are at 0.5 s (falling) and at 1 s (rising)."""
+    wave = SquareWave(jnp.asarray(1.0), jnp.asarray(100e3))
+    term = DICTIONARY["set_pressure_delay_of_edges"](a=up / 2e-3, b=down / 2e-3)
+    t0 = np.arange(0.49, 1.01, 3.7e-4)
+    t1 = t0 + 3.7e-4
+    x = jax.vmap(term.command(wave, 0).segment)(jnp.asarray(t0), jnp.asarray(t1))
+    first, second = 0.5 + down, 1.0 + up
+    breaks = np.asarray(x.t_break)
+    np.testing.assert_allclose(breaks[breaks < t1], [first, second], atol=1e-12)
+    for t, value in ((t0, x.a0), (t1, x.b1)):
+        np.testing.assert_array_equal(value, np.where((t > first) & (t < second), -100e3, 100e3))
+
+
+@pytest.mark.parametrize(("t0", "name"), [(0.49, "b"), (0.99, "a")])
+def test_a_delay_of_edges_at_its_null_moves_only_its_own_edges(t0, name):
+    wave = SquareWave(jnp.asarray(1.0), jnp.asarray(100e3))
+
+    def t_break(x):
+        late = DICTIONARY["set_pressure_delay_of_edges"](**x).command(wave, 0)
+        return late.segment(t0, t0 + 0.02).t_break
+
+    slope = jax.grad(t_break)({"a": 0.0, "b": 0.0})
+    assert {key: float(x) for key, x in slope.items()} == {"a": 0.0, "b": 0.0} | {name: 2e-3}
+
+
+def test_a_smooth_wave_is_delayed_where_it_rises_and_where_it_falls():
+    wave = SineWave(jnp.asarray(1.0), jnp.asarray(100e3))
+    late = DICTIONARY["set_pressure_delay_of_edges"](a=5.0, b=-2.0).command(wave, 0)
+    for t0, delay in ((1.0, 0.01), (0.5, -0.004)):
+        x = late.segment(jnp.asarray(t0), jnp.asarray(t0 + 1e-3))
+        assert float(x.a0) == pytest.approx(100e3 * np.sin(2.0 * np.pi * (t0 - delay)), rel=1e-9)
 
 
 @pytest.mark.parametrize("edge", [0.1, 0.3, 0.7, 1.1, 1.5])
@@ -356,7 +410,7 @@ def test_the_gain_of_the_set_pressure_drifts(name):
     term = DICTIONARY[name](**FACTORS, scale=2.0)
     x = term.command(wave, 1).segment(jnp.asarray(0.4), jnp.asarray(0.6))
     q = np.array([0.2, 0.25, 0.25, 0.3])
-    gain = 1.0 + 0.1 * (0.1 * q + 0.2 * q**2 + 0.4 * q**3)
+    gain = 1.0 + 0.1 * drift(q)
     signs = np.array([1.0, 1.0, -1.0, -1.0])
     np.testing.assert_allclose([x.a0, x.a1, x.b0, x.b1], 100e3 * gain * signs)
     assert (term.command(wave, 0) is wave) == name.startswith("rear")
@@ -381,10 +435,10 @@ def test_the_front_pressure_sensor_has_its_own_error():
 
 @pytest.mark.parametrize(("name", "acts"), [("opening_drift", 1.0), ("rear_opening_drift", 0.0)])
 def test_the_opening_of_the_valves_drifts(name, acts):
-    """The state is the time; after half of the scale, 1/k has changed by 12.5 1/s times 0.15."""
+    """The state is the time. One unit changes 1/k by 12.5 1/s."""
     x = chambers([50e3, -100e3], [200e3, -50e3], [[1.0, 1.0]])
     term = DICTIONARY[name](**FACTORS, scale=2.0)
-    change = 12.5 * (0.05 + 0.05 + 0.05) * np.array([acts * 150e3, 50e3])
+    change = 12.5 * drift(0.5) * np.array([acts * 150e3, 50e3])
     np.testing.assert_allclose(term.rate(jnp.zeros(2), x), change)
     np.testing.assert_array_equal(term.state_rates(jnp.zeros(2), x), [[1.0, 1.0]])
 
