@@ -137,13 +137,14 @@ def removed_excess(case: dict[str, Any], of: str = "before") -> float | None:
     The excess error is the rms difference between predicted and true readings. The mean over the
     channels is weighted by the inverse noise floors. `of` is the model whose excess error is 1: the
     model "before" the function, or the calibrated model without any effect, "refit". None: nothing
-    was learned.
+    was learned, or the result file of an earlier version does not contain this model.
     """
     learned = case.get("learned", {})
     before, after = (
-        sum((x[key] / learned["errors"][c]["floor"]) ** 2 for c, x in learned["distance"].items())
-        if "distance" in learned
-        else 0.0
+        sum(
+            (x.get(key, 0.0) / learned["errors"][c]["floor"]) ** 2
+            for c, x in learned.get("distance", {}).items()
+        )
         for key in (of, "after")
     )
     return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else None

@@ -48,9 +48,9 @@ def least_squares_step(
     `penalty` (k,) are the weights of the squared steps that are added to the sum of squares.
     """
     step = np.zeros(len(b))
-    step[index] = (
-        inverse(A[np.ix_(index, index)] + np.diag(penalty + np.zeros(len(index)))) @ b[index]
-    )
+    own = A[np.ix_(index, index)]
+    own[np.diag_indices(len(index))] += penalty
+    step[index] = inverse(own) @ b[index]
     return step
 
 

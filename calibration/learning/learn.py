@@ -23,7 +23,12 @@ from calibration.discrepancy.verdict import (
     channels_above_floor,
 )
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.goodness import Excess, channel_errors, tested_excess
+from calibration.inference.goodness import (
+    Excess,
+    channel_errors,
+    excess as channel_excess,
+    tested_excess,
+)
 from calibration.inference.problem import FAILED, Swing, TankProblem, total
 from calibration.inference.uncertainty import widen_by_correlation
 from calibration.learning.frequencies import SinePeak, best_peak, sine_peaks
@@ -77,12 +82,12 @@ class Dictionary:
         scales: Mapping[str, float],
         progress: Progress = lambda text: None,
     ) -> "Dictionary":
-        """Returns the problem with the `effects` of the outcome, and with all terms at their null.
+        """Returns the problem with the `effects` of the outcome, and with terms at their null.
 
-        `scales` are the scales of the terms. If `effects` is only a part of the outcome's effects,
-        the model is fitted again. Without effects, the model is the loop's base model. The model
-        contains the other effects of the outcome at their nulls, so that all attempts to learn a
-        function use the same compiled programs.
+        The terms are those that can cause the residual. `scales` are the scales of the terms. If
+        `effects` is only a part of the outcome's effects, the model is fitted again. Without
+        effects, the model is the loop's base model. The model contains the other effects of the
+        outcome at their nulls, so that attempts with the same terms use the same compiled programs.
         """
         assert isinstance(outcome.problem, TankProblem)
         used, settings = outcome.used_trials, outcome.search.settings
@@ -194,13 +199,11 @@ def _possible_terms(problem: TankProblem, fit: Fit, settings: SelectionSettings)
     If the residual of a pressure is above the noise floor, these are the terms that change the
     pressures: forces and motion change a pressure only slightly.
     """
-    found = tested_excess(problem, fit)
-    pressures = [
-        c
-        for c, x in found.items()
-        if CHANNELS[c].kind == "pressure" and x.all > settings.noise_floor
-    ]
-    return [n for n, kind in DICTIONARY.items() if not pressures or "pressure" in kind.sensors]
+    of_pressure = any(
+        CHANNELS[c].kind == "pressure" and x.all > settings.noise_floor
+        for c, x in channel_excess(problem, fit).items()
+    )
+    return [n for n, kind in DICTIONARY.items() if not of_pressure or "pressure" in kind.sensors]
 
 
 def _extended(problem: TankProblem, names: tuple[str, ...], swing: np.ndarray) -> TankProblem:

@@ -283,6 +283,20 @@ class OpeningTerm(Powers, Flow):
         return rate + jnp.where(self.acts(x), change, 0.0)
 
 
+class OfFrontValve:
+    """The valves of the front chamber; f acts only there."""
+
+    def acts(self, x: Chamber) -> Array:
+        return jnp.asarray(x.rear) == 0
+
+
+class OfRearValve:
+    """The valves of the rear chamber; f acts only there."""
+
+    def acts(self, x: Chamber) -> Array:
+        return jnp.asarray(x.rear) > 0
+
+
 class ValveOpening(OpeningTerm):
     """1/k changes by a function f of |p|."""
 
@@ -346,22 +360,16 @@ class OpeningOfOther(OpeningTerm):
         return other_chamber(jnp.abs(x.p))
 
 
-class FrontOpeningOfOther(OpeningOfOther):
+class FrontOpeningOfOther(OfFrontValve, OpeningOfOther):
     """1/k of the front chamber changes by a function f of |p_rear|."""
 
     title = "valve of the front chamber whose opening depends on the rear chamber's pressure"
 
-    def acts(self, x):
-        return x.rear == 0
 
-
-class RearOpeningOfOther(OpeningOfOther):
+class RearOpeningOfOther(OfRearValve, OpeningOfOther):
     """1/k of the rear chamber changes by a function f of |p_front|."""
 
     title = "valve of the rear chamber whose opening depends on the front chamber's pressure"
-
-    def acts(self, x):
-        return x.rear > 0
 
 
 class OpeningOfDifference(OpeningTerm):
@@ -377,22 +385,16 @@ class OpeningOfDifference(OpeningTerm):
         return mixed_powers(z / self.scale, OPENING)
 
 
-class FrontOpeningOfDifference(OpeningOfDifference):
+class FrontOpeningOfDifference(OfFrontValve, OpeningOfDifference):
     """1/k of the front chamber changes by a function f of |p_rear| - |p_front|."""
 
     title = "valve of the front chamber whose opening depends on the difference of the pressures"
 
-    def acts(self, x):
-        return x.rear == 0
 
-
-class RearOpeningOfDifference(OpeningOfDifference):
+class RearOpeningOfDifference(OfRearValve, OpeningOfDifference):
     """1/k of the rear chamber changes by a function f of |p_front| - |p_rear|."""
 
     title = "valve of the rear chamber whose opening depends on the difference of the pressures"
-
-    def acts(self, x):
-        return x.rear > 0
 
 
 class OpeningDrift(RigDrift, Flow):
@@ -424,22 +426,16 @@ class OpeningOfSum(OpeningTerm):
         return jnp.abs(x.p + other_chamber(x.p))
 
 
-class FrontOpeningOfSum(OpeningOfSum):
+class FrontOpeningOfSum(OfFrontValve, OpeningOfSum):
     """1/k of the front chamber changes by a function f of |p_front + p_rear|."""
 
     title = "valve of the front chamber whose opening depends on the sum of both pressures"
 
-    def acts(self, x):
-        return x.rear == 0
 
-
-class RearOpeningOfSum(OpeningOfSum):
+class RearOpeningOfSum(OfRearValve, OpeningOfSum):
     """1/k of the rear chamber changes by a function f of |p_front + p_rear|."""
 
     title = "valve of the rear chamber whose opening depends on the sum of both pressures"
-
-    def acts(self, x):
-        return x.rear > 0
 
 
 class OpeningOfRecentFlow(OpeningTerm):

@@ -173,7 +173,7 @@ def test_a_dictionary_of_details_keeps_the_fit_and_starts_details_at_their_null(
 @pytest.mark.parametrize(("channel", "all_terms"), [("p_rear", False), ("tip", True)])
 def test_a_pressure_above_the_noise_floor_excludes_terms_of_forces(monkeypatch, channel, all_terms):
     above = {c: Excess(np.ones(1), 1.6 if c == channel else 1.4) for c in ("p_rear", "tip")}
-    monkeypatch.setattr(learn, "tested_excess", lambda problem, fit: above)
+    monkeypatch.setattr(learn, "channel_excess", lambda problem, fit: above)
     terms = learn._possible_terms(None, None, DEFAULT_SETTINGS)
     assert {"rear_opening", "pressure_reading_drift", "rear_set_pressure"} < set(terms)
     assert ("drag_along_robot" in terms) == ("tip_reading_delay" in terms) == all_terms

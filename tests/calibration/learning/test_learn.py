@@ -63,7 +63,7 @@ def test_the_place_and_the_function_of_an_unknown_cause_are_learned(learned):
     outcome, learning = learned
     assert outcome.verdict in ("unexplained", "partly_explained")
     assert learning.places[0].place == "Flow" and not learning.equal_places
-    assert not set(outcome.held) & set(outcome.used_trials)
+    assert learning.model.tested == outcome.held and outcome.held
 
 
 def test_the_report_states_the_function_and_the_model_file_contains_it(learned, tmp_path):
