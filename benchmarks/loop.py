@@ -35,7 +35,7 @@ from tanks import (
 
 from calibration.discrepancy import report
 from calibration.discrepancy.close_loop import LoopOutcome
-from calibration.discrepancy.verdict import CLASS, IDENTIFIED
+from calibration.discrepancy.verdict import CLASS, IDENTIFIED, LEARNED, PARTLY
 from calibration.inference.goodness import noise_floors, rms_errors
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.learning.learn import Learning, learn_terms
@@ -289,8 +289,8 @@ def run_case(
     if learning is not None:
         files = [r.trial.file for r in found]
         record["learned"] = learned_record(learning, dict(zip(files, true, strict=True)))
-        if record["learned"]["reaches_floor"]:
-            record["verdict"] = "learned"
+        if record["learned"]["terms"]:
+            record["verdict"] = LEARNED if record["learned"]["reaches_floor"] else PARTLY
     if not outcome.held:
         return record
     rest = part_of(outcome.problem, outcome.held)

@@ -121,7 +121,7 @@ def rated_location(case: dict[str, Any]) -> str:
             return "wrong name"
         places = {LIBRARY[n].place() for cause in causes for n in cause}
         return "right place" if places & set(truth.places) else "wrong place"
-    if case["verdict"] == "learned":
+    if case.get("learned", {}).get("terms"):
         places = {case["learned"]["place"].split(" (")[0]}
         return "right place" if places & set(truth.places) else "wrong place"
     if case["verdict"] not in (PARTLY, UNEXPLAINED):

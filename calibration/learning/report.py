@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.report import verdict_sentences
-from calibration.discrepancy.verdict import LEARNED
+from calibration.discrepancy.verdict import LEARNED, PARTLY
 from calibration.experiment_design.discriminate import model_distance
 from calibration.experiment_design.information import (
     ChannelInformation,
@@ -89,13 +89,16 @@ def with_learned(record: dict[str, Any], learned: dict[str, Any] | None) -> dict
     """Returns the content of report.json with the key `learned`.
 
     If the residual with the learned function is at the noise floor, the verdict becomes `learned`,
-    and the next experiment is the trial that tests the function.
+    and the next experiment is the trial that tests the function. Otherwise, the function explains a
+    part of the residual.
     """
     if learned is None:
         return record
     record = record | {"learned": learned, "said": f"{record['said']} {learned['said']}"}
-    if learned["status"] is None or learned["above_floor"]:
+    if learned["status"] is None:
         return record
+    if learned["above_floor"]:
+        return record | {"verdict": PARTLY}
     return record | {"verdict": LEARNED, "next_experiment": learned["test"]}
 
 

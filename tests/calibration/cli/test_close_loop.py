@@ -82,7 +82,7 @@ def test_the_report_describes_the_outcome_after_learning(monkeypatch, at_floor):
         "discrepancy.report.loop_record": lambda outcome, _, __, following: {
             "outcome": outcome,
             "said": "A.",
-            "verdict": "partly_explained",
+            "verdict": "unexplained",
             "next_experiment": following,
         },
     }.items():
