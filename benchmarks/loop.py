@@ -1,7 +1,8 @@
 """Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
     python benchmarks/loop.py null noise situation single double --out DIR
-    python benchmarks/loop.py outside fresh blind unseen novel further common everyday --out DIR
+    python benchmarks/loop.py outside fresh blind unseen novel further --out DIR
+    python benchmarks/loop.py common everyday workshop --out DIR
     python benchmarks/loop.py table --out DIR
 
 The benchmark writes one file per tank to DIR. An interrupted run resumes when you repeat the
@@ -410,7 +411,7 @@ def main() -> None:
     part, parts = map(int, arguments.part.split("/"))
     prepare_jax()
     candidates = candidate_effects()
-    for name in ("unknown", "fresh", "blind", "unseen", "novel", "further", "common", "everyday"):
+    for name in ("unknown", *(kind for kind in LACKING if kind != "outside")):
         load_effects(Path(__file__).parent / f"{name}_effects.py")
     for what in arguments.what:
         if what == "table":

@@ -16,6 +16,7 @@ from novel_effects import NOVEL_EFFECTS
 from scipy.optimize import linear_sum_assignment
 from unknown_effects import UNKNOWN_EFFECTS
 from unseen_effects import UNSEEN_EFFECTS
+from workshop_effects import WORKSHOP_EFFECTS
 
 from calibration.discrepancy.verdict import INCONCLUSIVE, NOTHING, PARTLY, PROVISIONAL, UNEXPLAINED
 from slider_jax.effects.library import LIBRARY
@@ -29,6 +30,7 @@ LACKING = {
     "further": FURTHER_EFFECTS,
     "common": COMMON_EFFECTS,
     "everyday": EVERYDAY_EFFECTS,
+    "workshop": WORKSHOP_EFFECTS,
 }
 """Effects that the library lacks, by kind of case."""
 SAME_LAW = {
