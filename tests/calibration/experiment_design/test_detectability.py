@@ -106,6 +106,7 @@ def test_the_expected_gain_at_the_limit_is_the_required_gain(still, entries):
     assert found.gain == pytest.approx(required_gain(1, len(candidate_effects())), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_nine_of_ten_effects_are_detected_at_the_limit(still, entries):
     A, i = information(still.channels), effect_entries(entries)["force_gain"]
     found = limit_of(still, "force_gain")
@@ -212,6 +213,7 @@ def towed(still):
     return proposal(still, (0.0, 0.25))
 
 
+@pytest.mark.slow
 def test_a_towed_trial_discriminates_mass_from_axial_added_mass(still, towed):
     (pair,) = towed["pairs"]
     assert pair["cos_before"] > DEFAULT_SETTINGS.parallel_cosine

@@ -120,6 +120,7 @@ def test_the_next_trial_makes_a_class_smaller(tank):
     assert f"{pair['sigmas_after']:.1f} standard deviations" in record["said"]
 
 
+@pytest.mark.slow
 def test_a_trial_that_leaves_a_part_of_a_class_names_this_part(tank):
     theta = tank[2].copy()
     theta[FLUID] = 0.12

@@ -62,6 +62,7 @@ def outcome(logs, tmp_path_factory):
     return found
 
 
+@pytest.mark.slow
 def test_the_valves_are_identified_with_their_parameters(outcome):
     assert outcome.verdict == "identified"
     assert outcome.search.effects == ["firmware_valves"]
@@ -71,6 +72,7 @@ def test_the_valves_are_identified_with_their_parameters(outcome):
         assert low < value < high, name
 
 
+@pytest.mark.slow
 def test_held_out_logs_are_predicted_to_the_noise(outcome):
     errors = outcome.held_out["p_front"]
     held = [outcome.problem.records[i] for i in outcome.held]
@@ -98,6 +100,7 @@ def test_the_halves_of_a_log_are_two_trials_of_one_simulation(logs):
     assert names == ["1.1.txt, first half", "1.1.txt, second half"]
 
 
+@pytest.mark.slow
 def test_the_alternative_effect_is_refitted_and_has_a_larger_residual(outcome):
     tried = {t.name: t for t in outcome.search.rounds[0].refitted}
     assert "pulsed_valves" in tried

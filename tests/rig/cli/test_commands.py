@@ -76,6 +76,7 @@ def test_a_check_prints_the_firmware_and_has_no_findings(rig):
     assert all(0.03 < x["rise"] < 0.09 for x in found["held"])
 
 
+@pytest.mark.slow
 def test_a_check_finds_a_leak(tmp_path):
     leak = "leak_rear_left=3@0"
     with served("rig", "simulate", "--inject", leak, "--noise", "0", cwd=tmp_path) as port:

@@ -274,7 +274,9 @@ def test_a_delay_moves_the_curve(kind, names):
         np.testing.assert_allclose(after[:4], before[0], rtol=1e-9)
 
 
-@pytest.mark.parametrize("kind", [ForceClockOffset, CameraDelay])
+@pytest.mark.parametrize(
+    "kind", [ForceClockOffset, pytest.param(CameraDelay, marks=pytest.mark.slow)]
+)
 def test_the_tangent_of_a_delay_at_its_null_is_the_slope_of_either_side(kind):
     t = jnp.linspace(0.0, 1.0, 401)
     true = made_of(lambda t: jnp.sin(9.0 * t), t)

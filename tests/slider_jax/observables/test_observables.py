@@ -229,6 +229,7 @@ def test_force_on_the_clamp_and_of_the_water_change_the_bodys_momentum(still):
     np.testing.assert_allclose(error / jnp.ptp(momentum, axis=0), 0.0, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_work_over_a_steady_stride_is_stored_dissipated_or_given_to_the_water():
     """The acceptance line: N_p = 51, h = 0.496 ms at 4.8 Hz, by the trapezoid rule."""
     steps, numerics = 420, Numerics()

@@ -289,6 +289,7 @@ def test_a_step_outside_its_range_is_rejected(plain):
         Plant(plain[0], step=0.5)
 
 
+@pytest.mark.slow
 def test_held_samples_of_a_square_wave_fill_a_chamber_like_the_wave():
     """With edges within the time steps and at their starts."""
     wave, law = SquareWave(4.0, 1e5, 0.1), FirstOrderLag(0.087)

@@ -36,7 +36,7 @@ def sweep():
     return result
 
 
-@pytest.mark.parametrize("index", [0, 2])
+@pytest.mark.parametrize("index", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_each_frequency_equals_a_single_rollout(sweep, index):
     f = TINY.frequencies[index]
     h = 1.0 / (f * TINY.steps_per_stride)

@@ -107,6 +107,7 @@ def test_towing_starts_at_speed_and_costs_thrust(tmp_path):
     assert np.abs(towed.series["recoil"] - stationary.series["recoil"]).max() > 0.02
 
 
+@pytest.mark.slow
 def test_a_stream_equals_towing_through_still_water(tmp_path):
     finer = ("nodes = 11", "nodes = 21")
     towed = run_trial(load(write_small_experiment(tmp_path, finer)), 1)

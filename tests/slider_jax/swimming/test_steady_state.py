@@ -40,7 +40,10 @@ swim = jax.jit(
 )
 
 
-@pytest.mark.parametrize("name", [pytest.param("optimum", marks=pytest.mark.slow), "5 Hz", "slow"])
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("optimum", "5 Hz")]
+
+
+@pytest.mark.parametrize("name", ["slow", *SLOW])
 def test_the_root_is_where_a_long_swim_from_rest_ends(name):
     model, f = made(GAITS[name]), jnp.asarray(GAITS[name].frequency)
     found, long = search(model, f), swim(model, f)
@@ -90,6 +93,7 @@ def test_a_body_that_nothing_resists_finds_no_steady_speed():
     assert float(found.speed) > 0.8 and not bool(found.ok)
 
 
+@pytest.mark.slow
 def test_a_body_made_faster_moves_faster_everywhere_and_in_no_other_way():
     model = made(GAITS["optimum"])
     carry, _ = simulate_strides(model, jnp.asarray(6.3), at_rest(model, SEARCH.numerics), 2, SEARCH)
