@@ -47,7 +47,7 @@ from calibration.model.plan import TrialPlan
 from slider_jax.channels import CHANNELS
 from slider_jax.effects import Effect
 from slider_jax.effects.dictionary.details import DETAILS, FINE_PARTS, REAR_PARTS
-from slider_jax.effects.dictionary.sensor import SensorGainSine
+from slider_jax.effects.functions import Sine
 from slider_jax.effects.library import DICTIONARY, LIBRARY
 
 Progress = Callable[[str], None]
@@ -112,7 +112,7 @@ class Dictionary:
         for i, p in enumerate(entries):
             if p.effect in DICTIONARY and p.is_shape:
                 kind = DICTIONARY[p.effect]
-                of_gain = issubclass(kind, SensorGainSine)
+                of_gain = issubclass(kind, Sine) and kind.of_gain
                 seen = [peaks[s, of_gain] for s in kind.sensors if (s, of_gain) in peaks]
                 peak = best_peak([*seen, SinePeak(1.0, 0.0, p.prior.null)])
                 x = np.clip(scales.get(p.effect, peak.frequency), p.prior.low, p.prior.high)

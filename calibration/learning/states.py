@@ -17,7 +17,7 @@ from slider_jax.dynamics.pressures import REAR, chamber_history, set_pressures, 
 from slider_jax.dynamics.step import Snapshot, at_rest
 from slider_jax.effects import Chamber, Readings
 from slider_jax.effects.dictionary.flow import FlowOfLaggedDifference
-from slider_jax.effects.functions import RigDrift
+from slider_jax.effects.functions import RigDrift, Sine
 from slider_jax.effects.library import DICTIONARY
 from slider_jax.simulation.trial import advance_chunk, run_chunks
 
@@ -26,7 +26,7 @@ RARE = 0.005
 states exceeds the scale of a term. A state has extreme values when the drive switches."""
 OF_READINGS = ("Instrument", "WaterMotion")
 """Places whose terms depend on the readings or their times."""
-OF_TIME = (RigDrift, FlowOfLaggedDifference)
+OF_TIME = (RigDrift, Sine, FlowOfLaggedDifference)
 """Terms of other places that depend on the times of the readings."""
 OF_CHAMBERS = ("Command", "Flow", "ActingPressure")
 """Places whose other terms depend on the state of the chambers."""

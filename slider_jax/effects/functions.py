@@ -310,6 +310,9 @@ class LocalDrift(InPart, TimeFunction):
 class Sine(eqx.Module):
     """a sin(2 pi f t) + b cos(2 pi f t), with the frequency f."""
 
+    of_gain: ClassVar[bool] = False
+    """Whether the sine changes a gain. The frequency is then that of a sine times the readings."""
+
     a: eqx.AbstractVar[Scalar]
     b: eqx.AbstractVar[Scalar]
     frequency: eqx.AbstractVar[Scalar]

@@ -1,6 +1,7 @@
 """Terms of the set pressure at the valves."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -14,6 +15,7 @@ from slider_jax.effects.functions import (
     Basis,
     Powers,
     RigDrift,
+    Sine,
     even_powers,
     mixed_powers,
     odd_corners,
@@ -24,6 +26,10 @@ DELAY = 2e-3
 """Delay [s] that one unit of a delay's parameters causes. The largest parameters add 40 ms."""
 GAIN = 0.1
 """Relative change of the set pressure that one unit of a gain's parameters causes."""
+OSCILLATION = 100e3
+"""Pressure [Pa] that one unit of a sine's parameters adds."""
+WHY_GAIN = "a supply with a larger pulsation drives no robot"
+WHY_FREQUENCY = "usual sample rates resolve these"
 PRESSURE = 20e3
 """Pressure [Pa] that one unit of a term's parameters adds: a tenth of a typical pressure."""
 ITERATIONS = 5
@@ -117,20 +123,22 @@ class SetPressureDelayOfEdges(Command):
         return EdgeDelayed(wave, DELAY * self.a, DELAY * self.b)
 
 
-class Scaled(Waveform):
-    """`wave` times a gain that changes slowly.
+class Varying(Waveform):
+    """(1 + g(t)) `wave` + q(t), with a gain error g and a pressure q [Pa] that change with time.
 
     If `wave` is piecewise constant, the error of a segment is of second order in the step.
     """
 
     wave: Waveform
-    drift: RigDrift
+    change: Callable[[Array], tuple[Array, Array]]
+    """Returns g and q at a time [s]. It must be a pytree, such as a method of an effect."""
 
     def segment(self, t0, t1):
         x = self.wave.segment(t0, t1)
-        start, middle, end = (1.0 + GAIN * self.drift.at(t) for t in (x.t0, x.t_break, x.t1))
-        ends = start * x.a0, middle * x.a1, middle * x.b0, end * x.b1
-        return Segment(x.t0, x.t_break, x.t1, *ends)
+        times = x.t0, x.t_break, x.t_break, x.t1
+        changes, ends = map(self.change, times), (x.a0, x.a1, x.b0, x.b1)
+        changed = ((1.0 + g) * p + q for (g, q), p in zip(changes, ends, strict=True))
+        return Segment(x.t0, x.t_break, x.t1, *changed)
 
 
 class SetPressureGainDrift(RigDrift, Command):
@@ -139,14 +147,63 @@ class SetPressureGainDrift(RigDrift, Command):
     title = "gain of the set pressure that drifts during a trial"
     term_curve = Curve("time t", "s", "change of the gain divided by 0.1", "-")
 
+    def change(self, t: Array) -> tuple[Array, Array]:
+        """Returns the gain error, and no additional pressure, at the time t."""
+        return GAIN * self.at(t), jnp.zeros_like(t)
+
     def command(self, wave, chamber):
-        return Scaled(wave, self)
+        return Varying(wave, self.change)
 
 
 class RearSetPressureGainDrift(RearCommand, SetPressureGainDrift):
     """The gain of the rear chamber's set pressure changes by a function of the time t."""
 
     title = "gain of the rear chamber's set pressure that drifts during a trial"
+
+
+class SineTerm(Sine, Command):
+    """The set pressure at the valves contains a sine."""
+
+    a: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY_GAIN)
+    """a, amplitude of the sine."""
+    b: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY_GAIN)
+    """b, amplitude of the cosine."""
+    frequency: Scalar = shape_parameter(10.0, 0.1, 500.0, "Hz", WHY_FREQUENCY)
+    """f, frequency of the most significant sine in the residual."""
+
+    @abstractmethod
+    def change(self, t: Array) -> tuple[Array, Array]:
+        """Returns the gain error and the additional pressure [Pa] at the time t."""
+
+    def command(self, wave, chamber):
+        return Varying(wave, self.change)
+
+
+class SetPressureGainSine(SineTerm):
+    """p_set,valve = p_set (1 + a sin(2 pi f t) + b cos(2 pi f t)), with the frequency f.
+
+    The pulsation of a compressor or of a supply has this form.
+    """
+
+    title = "a sine in the gain of the set pressure"
+    term_curve = Curve("phase, the fraction of f t", "-", "change of the gain", "-")
+    of_gain = True
+
+    def change(self, t):
+        return self.at(t), jnp.zeros_like(t)
+
+
+class SetPressureSine(SineTerm):
+    """p_set,valve = p_set + P (a sin(2 pi f t) + b cos(2 pi f t)), with P = 100 kPa.
+
+    The oscillation of a regulator has this form.
+    """
+
+    title = "a sine in the set pressure"
+    term_curve = Curve("phase, the fraction of f t", "-", "change of p_set divided by 100 kPa", "-")
+
+    def change(self, t):
+        return jnp.zeros_like(t), OSCILLATION * self.at(t)
 
 
 class SetPressureTerm(Powers, Command):

@@ -358,6 +358,7 @@ class SensorGainSine(SensorSine):
     """y_read = y (1 + a sin(2 pi f t) + b cos(2 pi f t)), with the frequency f."""
 
     term_curve = OF_GAIN_PHASE
+    of_gain = True
 
     def change(self, z, true):
         return z * self.at(true.t)

@@ -416,6 +416,19 @@ def test_the_gain_of_the_set_pressure_drifts(name):
     assert (term.command(wave, 0) is wave) == name.startswith("rear")
 
 
+def test_the_set_pressure_contains_a_sine():
+    """On both sides of an edge at 0.5 s; a is 0.1, b is 0.2, and the frequency is 7 Hz."""
+    wave = SquareWave(jnp.asarray(1.0), jnp.asarray(100e3))
+    turn = 2.0 * np.pi * 7.0 * np.array([0.4, 0.5, 0.5, 0.6])
+    sine, plain = 0.1 * np.sin(turn) + 0.2 * np.cos(turn), 100e3 * np.array([1.0, 1.0, -1.0, -1.0])
+    expected = {"gain_sine": plain * (1.0 + sine), "sine": plain + 100e3 * sine}
+    for name, values in expected.items():
+        term = DICTIONARY[f"set_pressure_{name}"](a=0.1, b=0.2, frequency=7.0)
+        x = term.command(wave, 1).segment(jnp.asarray(0.4), jnp.asarray(0.6))
+        np.testing.assert_allclose([x.a0, x.a1, x.b0, x.b1], values)
+        assert float(x.t_break) == 0.5
+
+
 def test_the_front_pressure_sensor_has_its_own_error():
     p = 100e3 * jnp.asarray(Z)
     true = Readings(jnp.arange(5.0), *(5 * [p]))
