@@ -16,7 +16,7 @@ from slider_jax import (
 )
 from slider_jax.actuation import FirstOrderLag, SquareWave  # noqa: E402
 from slider_jax.beam.grid import split_cells  # noqa: E402
-from slider_jax.beam.parameters import Numerics, Robot  # noqa: E402
+from slider_jax.beam.parameters import Numerics, uniform_robot  # noqa: E402
 from slider_jax.dynamics.model import Drive, Model  # noqa: E402
 from slider_jax.dynamics.rollout import TimeGrid, rollout  # noqa: E402
 from slider_jax.effects import NormalDrag, ReactiveForce  # noqa: E402
@@ -37,7 +37,7 @@ SHEET = {"EI_tail": 2.9e9 * 0.03 * 0.93e-3**3 / 12, "EA_tail": 2.9e9 * 0.03 * 0.
 def model(amplitude=250e3, **robot) -> Model:
     """Returns a robot that is clamped in still water and driven by a square wave of 4.8 Hz."""
     drive = Drive(SquareWave(FREQUENCY, amplitude), SquareWave(FREQUENCY, 0.9 * amplitude, 0.15))
-    body = Robot(**({"body_length": 0.3, "tail_length": 0.07} | robot))
+    body = uniform_robot(**({"body_length": 0.3, "tail_length": 0.07} | robot))
     whole = Model(
         body, (NormalDrag(3.0), ReactiveForce(1.0)), FirstOrderLag(0.087), drive, Clamped()
     )

@@ -49,7 +49,7 @@ sj.enable_float64()
 frequency = 4.8
 drag, reactive = sj.NormalDrag(C_d=3.0), sj.ReactiveForce(m_a=1.0)
 model = sj.Model(
-    robot=sj.Robot(),
+    robot=sj.uniform_robot(),
     effects=(drag, reactive),
     pressure_law=sj.FirstOrderLag(k=0.087),
     drive=sj.Drive(
@@ -134,8 +134,8 @@ for step in range(steps // 10 - 1, steps, steps // 10):
     x, y = 1e3 * last["midline"][step]
     ax.plot(x, y, color=colours(phase[step]), lw=1.8, label=f"{phase[step]:.1f}")
 ax.plot(0.0, 0.0, "ks", ms=8)
-ax.axvline(-1e3 * float(model.robot.body_length), color="0.7", ls=":", zorder=0)
-ax.annotate("joint of the tail", (-1e3 * float(model.robot.body_length) + 3, -23), color="0.4")
+ax.axvline(-1e3 * float(model.robot.body.length), color="0.7", ls=":", zorder=0)
+ax.annotate("joint of the tail", (-1e3 * float(model.robot.body.length) + 3, -23), color="0.4")
 ax.annotate("clamp", (-22, 4))
 ax.set(xlabel="x (mm)", ylabel="y (mm)", ylim=(-26, 26), title="ten midlines (y stretched)")
 ax.legend(title="phase (-)", ncols=2, fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))
@@ -179,7 +179,7 @@ print(f"travelling index {obs.travelling_index(mode):.2f}")
 # %%
 best = int(np.argmax(last["thrust"]))
 instants = {"largest thrust": best, "a quarter of a stride before": best - steps // 4}
-joint = 1e3 * float(model.robot.tail_length)
+joint = 1e3 * float(model.robot.tail.length)
 
 
 def forward(name):

@@ -25,6 +25,7 @@ _HOME = {
     "ReactiveForce": "effects",
     "Recorded": "actuation",
     "Robot": "beam.parameters",
+    "uniform_robot": "beam.parameters",
     "SDIRK2": "dynamics.time_schemes",
     "SineWave": "actuation",
     "SolverError": "errors",

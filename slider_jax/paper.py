@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.actuation import FirstOrderLag, SquareWave
-from slider_jax.beam.parameters import Robot, Scalar
+from slider_jax.beam.parameters import Robot, Scalar, uniform_robot
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.effects import NormalDrag, ReactiveForce
 from slider_jax.supports import Clamped
@@ -68,7 +68,7 @@ def head_fixed(
     frequency: Scalar, robot: Robot | None = None, assumed: Assumed | None = None
 ) -> Model:
     """Returns a model of the paper's head-fixed experiment in still water at a `frequency` [Hz]."""
-    robot = Robot() if robot is None else robot
+    robot = uniform_robot() if robot is None else robot
     assumed = Assumed() if assumed is None else assumed
     C_d, m_a = force_coefficients(frequency)
     front = SquareWave(frequency, assumed.amplitude)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calibration.bench.ring_down import AIR_DRAG, RingFit
-from calibration.bench.statics import DETERMINED, UNITS, BenchEstimate, ShapeFit
+from calibration.bench.statics import DETERMINED, UNITS, BenchEstimate, ShapeFit, given_values
 from calibration.bench.tables import Bench, Shapes
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import versions
@@ -49,7 +49,9 @@ def statics_record(found: Statics, source: dict[str, Any]) -> dict[str, Any]:
     return {
         "parameters": {name: _estimate(name, x) for name, x in found.parameters.items()},
         "taken_as_given": {
-            name: getattr(found.bench.robot, name) for name in UNITS if name not in found.parameters
+            name: x
+            for name, x in given_values(found.bench.robot).items()
+            if name not in found.parameters
         },
         "correlations": shapes
         and {"order": list(shapes.parameters), "matrix": shapes.correlations},

@@ -105,12 +105,7 @@ def fit_decay(t: np.ndarray, tip: np.ndarray) -> Decay:
 def _model(theta, robot: Robot, density):
     """Returns the robot in air for theta = (log alpha, log stiffness, load, C_d in air)."""
     alpha, stiffness = jnp.exp(theta[0]), jnp.exp(theta[1])
-    bent = replace(
-        robot,
-        damping_time=alpha,
-        EI_body=robot.EI_body * stiffness,
-        EI_tail=robot.EI_tail * stiffness,
-    )
+    bent = robot.with_parts(lambda part: replace(part, damping_time=alpha, EI=part.EI * stiffness))
     return replace(undriven_robot(bent), effects=(NormalDrag(theta[3], density),))
 
 
@@ -238,7 +233,7 @@ def _start(record: RingDown, decay: Decay, robot, density, grid, numerics) -> np
 
     The function simulates twice, and corrects the parameters after each simulation.
     """
-    length, EI = float(robot.length), float(robot.EI_body)
+    length, EI = float(robot.length), float(robot.body.typical_EI)
     first = float(np.mean(record.tip[: max(2, len(record.tip) // 200)]) - np.mean(record.tip))
     alpha = max(decay.damping_time, MIN_DAMPING)
     theta = np.array([np.log(alpha), 0.0, 3.0 * EI * first / length**3, AIR_DRAG[0]])

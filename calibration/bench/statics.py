@@ -120,11 +120,16 @@ def tail_alone(robot: Robot) -> Robot:
     """Returns the tail as a separate robot on the same mesh."""
     return replace(
         robot,
-        body_length=0.8 * robot.tail_length,
-        tail_length=0.2 * robot.tail_length,
-        EI_body=robot.EI_tail,
-        EA_body=robot.EA_tail,
+        body=replace(robot.tail, lengths=0.8 * robot.tail.lengths),
+        tail=replace(robot.tail, lengths=0.2 * robot.tail.lengths),
     )
+
+
+def given_values(robot: Robot) -> dict[str, float]:
+    """Returns the robot's values of the parameters in `UNITS`."""
+    parts = robot.body.typical_EI, robot.tail.typical_EI
+    values = *parts, robot.K_Q, robot.body.damping_time
+    return {name: float(x) for name, x in zip(UNITS, values, strict=True)}
 
 
 @eqx.filter_jit
@@ -138,7 +143,7 @@ def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
 
     def displacements(logs):
         EI_body, EI_tail, K_Q = jnp.exp(logs)
-        whole = replace(robot, EI_body=EI_body, EI_tail=EI_tail, K_Q=K_Q)
+        whole = replace(robot, K_Q=K_Q, body=robot.body.changed(EI=EI_body)).with_tail(EI=EI_tail)
 
         def one(on_tail, force, pressure):
             chosen = jax.tree.map(lambda a, b: jnp.where(on_tail, a, b), tail_alone(whole), whole)
@@ -180,7 +185,7 @@ def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
     names = identifiable_parameters(shapes)
     order = ["EI_body", "EI_tail", "K_Q"]
     free = np.array([order.index(n) for n in names])
-    begin = np.log([float(getattr(bench.robot, n)) for n in order])
+    begin = np.log([given_values(bench.robot)[n] for n in order])
     rows = (
         jnp.asarray(np.concatenate([np.full(len(x.tip), x.on_tail) for x in shapes])),
         jnp.asarray(np.concatenate([x.force for x in shapes])),

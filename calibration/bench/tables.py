@@ -8,6 +8,7 @@ from pydantic import Field
 
 from slider_jax.beam.parameters import Robot
 from slider_jax.errors import InputError
+from slider_jax.experiment.robot import robot_of
 from slider_jax.experiment.schema import FROM_LIST, FileName, RobotTable, Table
 from slider_jax.io.csv import read_csv, read_table
 from slider_jax.io.toml import read_toml, validate
@@ -114,7 +115,7 @@ class Bench(NamedTuple):
 def load_bench(path: Path) -> Bench:
     """Returns the content of a bench file and its tables. Raises `InputError` if it is invalid."""
     table = validate(StaticsTable, read_toml(path), str(path))
-    robot = Robot(**table.robot.model_dump(exclude={"water_density"}), K_Q=table.parameters.K_Q)
+    robot = robot_of(table.robot, table.parameters.K_Q, path.parent)
     folder = path.parent
     shapes = [_tip_load(folder, x, table.robot) for x in table.tip_load]
     shapes += [_pressure(folder, x, table.robot) for x in table.pressure]

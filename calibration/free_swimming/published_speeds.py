@@ -20,7 +20,7 @@ from scipy.optimize import root_scalar
 
 from slider_jax import paper
 from slider_jax.actuation import FirstOrderLag, SquareWave
-from slider_jax.beam.parameters import Robot
+from slider_jax.beam.parameters import uniform_robot
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.rollout import rollout
 from slider_jax.dynamics.step import at_rest
@@ -100,7 +100,7 @@ def paper_swimmer(
     C_d, m_a = paper.force_coefficients(gait.frequency)
     coefficients = {name: coefficient if name == resisting else 0.0 for name in RESISTIVE_EFFECTS}
     model = Model(
-        robot=Robot(tail_length=gait.tail_length, EI_tail=gait.EI_tail),
+        robot=uniform_robot(tail_length=gait.tail_length, EI_tail=gait.EI_tail),
         effects=(
             NormalDrag(C_d),
             ReactiveForce(m_a),

@@ -77,7 +77,7 @@ def plan_trial(
         prepared = prepare(experiment, trial, sample_times=at)
     trial, at = prepared.trial, prepared.sample_times
     robot = experiment.robot
-    cells = split_cells(resolution.nodes, robot.tail_length, robot.body_length)
+    cells = split_cells(resolution.nodes, *robot.lengths)
     numerics = replace(prepared.numerics, tail_cells=cells[0], body_cells=cells[1])
     longest, spacing = resolution.step, None
     if trial.frequency is None:

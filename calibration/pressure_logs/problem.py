@@ -4,7 +4,7 @@ The prediction starts at the first measured pressure and then depends only on th
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import final
 
@@ -22,7 +22,7 @@ from calibration.model.extended import ExtendedModel, candidate_effects, model_p
 from calibration.model.predict import recorded_pressures
 from calibration.pressure_logs.read import ManifoldLog
 from slider_jax.actuation import Recorded
-from slider_jax.beam.parameters import Robot
+from slider_jax.beam.parameters import SLIDER
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.dynamics.model import Drive
 from slider_jax.effects import Command, Flow, Instrument
@@ -65,7 +65,7 @@ def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, flo
 
     C_d and m_a have the paper's values. The tables of the file `model` override built-in tables.
     """
-    robot = asdict(Robot())
+    robot = dict(SLIDER)
     K_Q = robot.pop("K_Q")
     content = {
         "name": log.path.stem,

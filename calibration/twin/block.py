@@ -136,8 +136,8 @@ def live_model(experiment: Experiment, trial: Trial) -> Model:
 
 def parameter_values(experiment: Experiment) -> np.ndarray:
     """Returns the values (parameters,) of `PARAMETERS` in an experiment."""
-    parameters, robot = experiment.parameters, experiment.robot
-    return np.array([parameters.k, parameters.K_Q, robot.EI_tail, robot.tail_length])
+    parameters, tail = experiment.parameters, experiment.robot_model().tail
+    return np.array([parameters.k, parameters.K_Q, tail.typical_EI, tail.length], float)
 
 
 def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -> BlockState:
@@ -189,7 +189,7 @@ def _of_body(model: Model, values: Array) -> Model:
     K_Q, EI_tail, tail_length = values
     return replace(
         model,
-        robot=replace(model.robot, K_Q=K_Q, EI_tail=EI_tail, tail_length=tail_length),
+        robot=replace(model.robot, K_Q=K_Q).with_tail(tail_length, EI_tail),
         effects=tuple(x for x in model.effects if not isinstance(x, (Command, Flow, Instrument))),
         pressure_law=Ideal(),
     )

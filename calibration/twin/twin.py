@@ -123,7 +123,7 @@ class Twin:
     def __init__(self, experiment: Experiment, settings: TwinSettings, trial: Trial):
         self.experiment, self.settings = experiment, settings
         robot = experiment.robot
-        cells = split_cells(settings.nodes, robot.tail_length, robot.body_length)
+        cells = split_cells(settings.nodes, *robot.lengths)
         self.layout = BlockLayout(
             1.0 / settings.rate, settings.samples, settings.per_step,
             Numerics(*cells, tolerance=settings.tolerance),

@@ -101,7 +101,7 @@ def rig_run(
             raise
         live.end()
     declare_swing(folder / "experiment.toml", records)
-    poor, length = 0, table.robot.body_length + table.robot.tail_length
+    poor, length = 0, sum(table.robot.lengths)
     for record in records:
         findings = list(record["findings"])
         if (tip_range := record["range"].get("tip_m", 0.0)) > 2.0 * length:

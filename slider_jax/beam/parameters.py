@@ -3,13 +3,17 @@
 Every physical number is a leaf of a pytree, so a batch can vary it and JAX can differentiate by it.
 """
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.beam.grid import Grid, make_grid
+from slider_jax.beam.parts import Part, Scalar
 
-Scalar = Float[Array, ""] | float
 G = 9.81
 """Acceleration of gravity [m/s^2]."""
 
@@ -19,34 +23,75 @@ class Robot(eqx.Module):
 
     | field | unit | meaning |
     |---|---|---|
-    | `body_length` | m | length of the actuated body, from the head to the joint of the tail |
-    | `tail_length` | m | length of the passive tail |
-    | `linear_density` | kg/m | m, mass per length |
-    | `EI_body`, `EI_tail` | N m^2 | bending stiffness |
-    | `EA_body`, `EA_tail` | N | axial stiffness |
-    | `damping_time` | s | alpha: stress = E_el (1 + alpha d/dt) strain, elastic modulus E_el |
-    | `height` | m | H, out-of-plane height that determines the forces of the water |
+    | `body` | | actuated part, from the head to the joint of the tail |
+    | `tail` | | passive part |
     | `front_chamber`, `rear_chamber` | m | distances of the near and the far end from the head |
     | `K_Q` | m^3 | bending moment of a chamber per unit pressure |
+    | `point_masses` | m, kg | distance from the head and mass of each point mass |
     """
 
-    body_length: Scalar = 0.298
-    tail_length: Scalar = 0.07
-    linear_density: Scalar = 0.7
-    EI_body: Scalar = 0.038
-    EI_tail: Scalar = 0.0058
-    EA_body: Scalar = 1.0e5
-    EA_tail: Scalar = 1.0e5
-    damping_time: Scalar = 2.0e-3
-    height: Scalar = 0.03
-    front_chamber: tuple[Scalar, Scalar] = (0.02, 0.145)
-    rear_chamber: tuple[Scalar, Scalar] = (0.155, 0.28)
-    K_Q: Scalar = 4.79e-7
+    body: Part
+    tail: Part
+    front_chamber: tuple[Scalar, Scalar]
+    rear_chamber: tuple[Scalar, Scalar]
+    K_Q: Scalar
+    point_masses: Float[Array, "masses 2"] | None = None
 
     @property
     def length(self) -> Scalar:
         """Total length L [m] of body and tail."""
-        return self.body_length + self.tail_length
+        return self.body.length + self.tail.length
+
+    @property
+    def mass(self) -> Scalar:
+        """Mass [kg] of body, tail and point masses."""
+        mass = self.body.mass + self.tail.mass
+        return mass if self.point_masses is None else mass + jnp.sum(self.point_masses[:, 1])
+
+    def with_tail(self, length: Scalar | None = None, EI: Scalar | None = None) -> "Robot":
+        """Returns the robot with another length [m] or EI [N m^2] of the tail: `Part.changed`."""
+        return replace(self, tail=self.tail.changed(length, EI))
+
+    def with_parts(self, change: Callable[[Part], Part]) -> "Robot":
+        """Returns the robot with `change(part)` for body and tail."""
+        return replace(self, body=change(self.body), tail=change(self.tail))
+
+
+SLIDER: dict[str, Any] = {
+    "body_length": 0.298,
+    "tail_length": 0.07,
+    "linear_density": 0.7,
+    "EI_body": 0.038,
+    "EI_tail": 0.0058,
+    "EA_body": 1.0e5,
+    "EA_tail": 1.0e5,
+    "damping_time": 2.0e-3,
+    "height": 0.03,
+    "front_chamber": (0.02, 0.145),
+    "rear_chamber": (0.155, 0.28),
+    "K_Q": 4.79e-7,
+}
+"""The robot SLIDER: the keys of table [robot] of an experiment file, and K_Q."""
+
+
+def uniform_robot(**changes: Any) -> Robot:
+    """Returns a robot with a uniform body and a uniform tail: `SLIDER` with `changes`."""
+    x = SLIDER | changes
+    unknown = x.keys() - SLIDER.keys()
+    if unknown:
+        raise TypeError(f"uniform_robot: given {', '.join(unknown)}; allowed {', '.join(SLIDER)}")
+    body, tail = (
+        Part(
+            lengths=x[f"{part}_length"],
+            linear_density=x["linear_density"],
+            EI=x[f"EI_{part}"],
+            EA=x[f"EA_{part}"],
+            damping_time=x["damping_time"],
+            height=x["height"],
+        )
+        for part in ("body", "tail")
+    )
+    return Robot(body, tail, x["front_chamber"], x["rear_chamber"], x["K_Q"])
 
 
 class Numerics(eqx.Module):
@@ -70,7 +115,7 @@ class Numerics(eqx.Module):
 
 def grid_of(robot: Robot, numerics: Numerics) -> Grid:
     """Returns the grid of `robot`."""
-    return make_grid(robot.tail_length, robot.body_length, numerics.tail_cells, numerics.body_cells)
+    return make_grid(robot.tail.length, robot.body.length, numerics.tail_cells, numerics.body_cells)
 
 
 def scales_of(robot: Robot) -> Float[Array, "6 1"]:
@@ -78,8 +123,8 @@ def scales_of(robot: Robot) -> Float[Array, "6 1"]:
 
     Forces: EI/L^2. Moment: EI/L. Speeds: sqrt(EI/m)/L with the mass per length m. Angle: 1 rad.
     """
-    L, EI = robot.length, robot.EI_body
+    L, EI = robot.length, robot.body.typical_EI
     force = EI / L**2
-    speed = jnp.sqrt(EI / robot.linear_density) / L
+    speed = jnp.sqrt(EI * robot.body.length / robot.body.mass) / L
     values = [jnp.asarray(x, float) for x in (force, force, EI / L, speed, speed, 1.0)]
     return jnp.stack(values)[:, None]

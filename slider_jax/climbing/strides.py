@@ -141,7 +141,7 @@ def climb_of(model: Model, frequency: Scalar, series: ClimbSeries, plan: ClimbPl
     steps = plan.steps_per_stride
     h = 1.0 / (frequency * steps)
     span = h * (len(series.angle) - 1)
-    weight = model.body.linear_density * model.body.length * G
+    weight = model.body.mass * G
     work, lost = (h * jnp.sum(x[1:]) for x in (series.power, series.dissipated))
     (up, left), kept = (x[-1] - x[0] for x in (series.centre, series.stored))
     lifted, spent = weight * up, jnp.where(work > 0.0, work, jnp.nan)

@@ -62,17 +62,43 @@ class Mesh(eqx.Module):
     """Fraction [-] of each chamber's moment K_Q p that acts in each cell."""
 
 
+def _of_point_masses(robot: Robot, grid: Grid) -> Float[Array, " cells"] | float:
+    """Returns the mass per length [kg/m] of the point masses.
+
+    A mass is distributed to the two nearest cells; its moment is exact between their middles.
+    """
+    if robot.point_masses is None:
+        return 0.0
+    index = jnp.arange(grid.ds.shape[0], dtype=grid.s.dtype)
+    place, mass = robot.point_masses.T
+    xi = jnp.interp(robot.length - place, grid.mid(grid.s), index)
+    return mass @ jnp.maximum(0.0, 1.0 - jnp.abs(index - xi[:, None])) / grid.ds
+
+
 def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
     """Returns the mesh of `robot`, with its structure and chambers in each cell."""
     grid = grid_of(robot, numerics)
-    one = jnp.ones_like(grid.ds)
+    one, joint = jnp.ones_like(grid.ds), grid.tail_cells
+    # Distances of the nodes from the near ends of tail and body.
+    tail, body = robot.tail.length - grid.s[: joint + 1], robot.length - grid.s[joint:]
+
+    def mean(name: str) -> Array:
+        parts = (robot.tail, tail), (robot.body, body)
+        return jnp.concatenate([part.cell_mean(name, at[1:], at[:-1]) for part, at in parts])
+
+    height = mean("height")
+    at_nodes = [robot.tail.at_nodes("height", tail), robot.body.at_nodes("height", body)]
+    at_joint = 0.5 * (at_nodes[0][-1:] + at_nodes[1][:1]) if joint else at_nodes[1][:1]
+    squares = jnp.square(jnp.concatenate([at_nodes[0][:-1], at_joint, at_nodes[1][1:]]))
     structure = Structure(
-        linear_density=robot.linear_density * one,
-        EI=grid.per_cell(robot.EI_tail, robot.EI_body),
-        EA=grid.per_cell(robot.EA_tail, robot.EA_body),
-        damping_time=robot.damping_time * one,
-        height=robot.height * one,
-        height_s=0.0 * one,
+        linear_density=mean("linear_density") + _of_point_masses(robot, grid),
+        EI=mean("EI"),
+        EA=mean("EA"),
+        damping_time=mean("damping_time"),
+        height=height,
+        # The added mass is proportional to H^2. With this slope of H, the momentum of the water
+        # that leaves a cell equals the momentum that enters the next cell.
+        height_s=(squares[1:] - squares[:-1]) / (2.0 * height * grid.ds),
         s=grid.mid(grid.s),
         ds=grid.ds,
         in_tail=grid.per_cell(one, 0.0 * one),

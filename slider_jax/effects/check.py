@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from slider_jax.actuation.waveform import SquareWave, Waveform
 from slider_jax.beam.equations import Section
-from slider_jax.beam.parameters import Robot
+from slider_jax.beam.parameters import uniform_robot
 from slider_jax.effects.base import (
     ActingPressure,
     BendingMoment,
@@ -54,7 +54,7 @@ class Response(NamedTuple):
 
 
 CELLS = np.arange(5.0)
-ROBOT = Robot()
+ROBOT = uniform_robot()
 STRUCTURE = {
     "linear_density": 0.7, "EI": 0.04, "EA": 1e5, "damping_time": 2e-3, "height": 0.03,
     "height_s": 0.0, "ds": 0.07,

@@ -30,6 +30,7 @@ from slider_jax.dynamics.time_schemes import SCHEMES, Scheme
 from slider_jax.effects import Effect, NormalDrag, ReactiveForce
 from slider_jax.effects.library import KNOWN_EFFECTS, LIBRARY
 from slider_jax.errors import InputError, did_you_mean
+from slider_jax.experiment.robot import robot_of
 from slider_jax.experiment.schema import EffectTable, ExperimentTable, ParametersTable, Trial
 from slider_jax.io.csv import read_csv
 from slider_jax.io.toml import read_toml, validate
@@ -46,6 +47,10 @@ class Experiment(ExperimentTable):
     def folder(self) -> Path:
         """The folder of the experiment file."""
         return self._folder
+
+    def robot_model(self) -> Robot:
+        """Returns the robot. Raises `InputError` if the profile of a segment is invalid."""
+        return robot_of(self.robot, self.parameters.K_Q, self.folder)
 
     def with_values(self, values: dict[str, Any], source: str = "change") -> "Experiment":
         """Returns a validated copy with new `values`, such as {"trials.0.frequency": 2.0}."""
@@ -213,7 +218,7 @@ def _drive(experiment: Experiment, trial: Trial) -> Drive:
 def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
     """Returns the numerical settings and the time scheme of an experiment."""
     robot, numerics = experiment.robot, experiment.numerics
-    cells = split_cells(numerics.nodes, robot.tail_length, robot.body_length)
+    cells = split_cells(numerics.nodes, *robot.lengths)
     return Numerics(*cells, tolerance=numerics.tolerance), SCHEMES[numerics.scheme]
 
 
@@ -251,7 +256,7 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
     law: PressureLaw = Ideal() if measured else FirstOrderLag(parameters.k)
     extra = [_effect(table, "effects", taken) for table in experiment.effects]
     model = Model(
-        robot=Robot(**experiment.robot.model_dump(exclude={"water_density"}), K_Q=parameters.K_Q),
+        robot=experiment.robot_model(),
         effects=(NormalDrag(C_d, density), ReactiveForce(m_a, density), *extra),
         pressure_law=law,
         drive=_drive(experiment, trial),

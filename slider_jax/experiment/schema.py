@@ -1,21 +1,38 @@
 """Defines the tables of an experiment file: keys, units and plausible ranges."""
 
 from pathlib import PurePath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
+from slider_jax.io.toml import TAG
 from slider_jax.io.units import Quantity
 
+FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
 Length = Annotated[float, Quantity(0.0, 3.0, "m")]
+LinearDensity = Annotated[float, Quantity(0.01, 20.0, "kg/m")]
+BendingStiffness = Annotated[float, Quantity(1e-6, 100.0, "N m^2")]
 Stiffness = Annotated[float, Quantity(1.0, 1e7, "N")]
+DampingTime = Annotated[float, Quantity(0.0, 0.1, "s")]
+Height = Annotated[float, Quantity(0.002, 0.5, "m")]
+WaterDensity = Annotated[float, Quantity(900.0, 1300.0, "kg/m^3")]
+Span = Annotated[tuple[Length, Length], FROM_LIST]
 Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
 Force = Annotated[float, Quantity(0.0, 10.0, "N")]
 Share = Annotated[float, Quantity(0.0, 0.5)]
 FEWEST_NODES = 11
 """Smallest number of nodes along a robot; fewer nodes do not resolve the bending."""
-FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
 
 
 def _plain_name(name: str) -> str:
@@ -38,31 +55,33 @@ class Table(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    @classmethod
+    def tag(cls) -> str:
+        """Returns the name with which pydantic names the table if a field allows several tables."""
+        return TAG + cls.__name__
 
-class RobotTable(Table):
-    """[robot]: measured geometry and structure. Chamber spans are distances from the clamp."""
 
-    body_length: Annotated[float, Quantity(0.05, 3.0, "m")]
-    tail_length: Annotated[float, Quantity(0.005, 2.0, "m")]
-    linear_density: Annotated[float, Quantity(0.01, 20.0, "kg/m")]
-    EI_body: Annotated[float, Quantity(1e-4, 100.0, "N m^2")]
-    EI_tail: Annotated[float, Quantity(1e-6, 100.0, "N m^2")]
-    EA_body: Stiffness = 1.0e5
-    EA_tail: Stiffness = 1.0e5
-    damping_time: Annotated[float, Quantity(0.0, 0.1, "s")]
-    height: Annotated[float, Quantity(0.002, 0.5, "m")]
-    front_chamber: Annotated[tuple[Length, Length], FROM_LIST]
-    rear_chamber: Annotated[tuple[Length, Length], FROM_LIST]
-    water_density: Annotated[float, Quantity(900.0, 1300.0, "kg/m^3")] = 1000.0
+class ChambersTable(Table):
+    """The chambers of [robot]. Their spans are distances from the clamp."""
+
+    front_chamber: Span
+    rear_chamber: Span
+    water_density: WaterDensity = 1000.0
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Lengths [m] of tail and body."""
+        raise NotImplementedError
 
     @model_validator(mode="after")
-    def _chambers_do_not_overlap(self) -> "RobotTable":
+    def _chambers_do_not_overlap(self) -> Self:
+        _, body = self.lengths
         spans = {"front_chamber": self.front_chamber, "rear_chamber": self.rear_chamber}
         for name, (near, far) in spans.items():
             if near >= far:
                 _fail(name, [near, far], "[near, far] with near < far, distances from the clamp")
-            if far > self.body_length:
-                _fail(name, [near, far], f"spans within the body, 0 to {self.body_length:g} m")
+            if far > body * (1.0 + 1e-9):
+                _fail(name, [near, far], f"spans within the body, 0 to {body:g} m")
         if self.front_chamber[1] > self.rear_chamber[0]:
             _fail(
                 "rear_chamber",
@@ -70,6 +89,117 @@ class RobotTable(Table):
                 f"a near end of at least {self.front_chamber[1]:g} m, the front chamber's far end",
             )
         return self
+
+
+class RobotTable(ChambersTable):
+    """[robot] of a robot with a uniform body and a uniform tail: geometry and structure."""
+
+    body_length: Annotated[float, Quantity(0.05, 3.0, "m")]
+    tail_length: Annotated[float, Quantity(0.005, 2.0, "m")]
+    linear_density: LinearDensity
+    EI_body: Annotated[float, Quantity(1e-4, 100.0, "N m^2")]
+    EI_tail: BendingStiffness
+    EA_body: Stiffness = 1.0e5
+    EA_tail: Stiffness = 1.0e5
+    damping_time: DampingTime
+    height: Height
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        return self.tail_length, self.body_length
+
+
+PROFILE_COLUMNS = {
+    "linear_density": "linear_density_kg_per_m",
+    "EI": "EI_N_m2",
+    "EA": "EA_N",
+    "damping_time": "damping_time_s",
+    "height": "height_m",
+}
+"""Column of each property in the profile of a segment."""
+
+
+class SegmentTable(Table):
+    """[[robot.segments]]: one segment of the robot. The order is from the head to the tail's end.
+
+    A property is the number in this table, a column of the CSV file `profile`, or the number in
+    table [robot], which applies to all segments without an own value. A profile gives properties as
+    linear functions of s_m, the distance from the segment's near end.
+    """
+
+    length: Annotated[float, Quantity(1e-3, 3.0, "m")]
+    part: Literal["body", "tail"] = "body"
+    linear_density: LinearDensity | None = None
+    EI: BendingStiffness | None = None
+    EA: Stiffness | None = None
+    damping_time: DampingTime | None = None
+    height: Height | None = None
+    rigid: bool = False
+    profile: FileName | None = None
+
+
+class PointMassTable(Table):
+    """[[robot.point_masses]]: a mass at a distance `s` from the head, for example an adapter."""
+
+    s: Length
+    mass: Annotated[float, Quantity(1e-4, 20.0, "kg")]
+
+
+class SegmentedRobotTable(ChambersTable):
+    """[robot] of a robot with segments. The segments of the tail follow those of the body."""
+
+    segments: Annotated[tuple[SegmentTable, ...], FROM_LIST, Field(min_length=1)]
+    point_masses: Annotated[tuple[PointMassTable, ...], FROM_LIST] = ()
+    linear_density: LinearDensity | None = None
+    EI: BendingStiffness | None = None
+    EA: Stiffness = 1.0e5
+    damping_time: DampingTime | None = None
+    height: Height | None = None
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        tail, body = (
+            sum(x.length for x in self.segments if x.part == part) for part in ("tail", "body")
+        )
+        return tail, body
+
+    @field_validator("segments")
+    @classmethod
+    def _body_is_before_tail(cls, segments: tuple[SegmentTable, ...]) -> tuple[SegmentTable, ...]:
+        parts = [x.part for x in segments]
+        if parts[0] != "body":
+            _fail("0.part", '"tail"', '"body"; the first segment belongs to the body')
+        wrong = next((i for i, p in enumerate(parts[1:], 1) if p == "body" != parts[i - 1]), None)
+        if wrong is not None:
+            _fail(f"{wrong}.part", '"body"', '"tail", because the segment before is in the tail')
+        return segments
+
+    @model_validator(mode="after")
+    def _segments_are_complete(self) -> Self:
+        for i, x in enumerate(self.segments):
+            for name in PROFILE_COLUMNS:
+                given = getattr(x, name) is not None or getattr(self, name) is not None
+                if not given and x.profile is None and not (x.rigid and name in ("EI", "EA")):
+                    where = "a number here, in [robot] or in the column of a profile"
+                    _fail(f"segments.{i}.{name}", "nothing", where)
+        total = sum(self.lengths)
+        for i, point in enumerate(self.point_masses):
+            if point.s > total:
+                _fail(f"point_masses.{i}.s", point.s, f"0 to {total:g} m, the robot's length")
+        return self
+
+
+def _tag_of_robot(table: Any) -> str:
+    """Returns the tag of the table that describes a robot. Other values are no table at all."""
+    names = table if isinstance(table, dict) else getattr(type(table), "model_fields", ())
+    return (SegmentedRobotTable if "segments" in names else RobotTable).tag()
+
+
+AnyRobotTable = Annotated[
+    Annotated[RobotTable, Tag(RobotTable.tag())]
+    | Annotated[SegmentedRobotTable, Tag(SegmentedRobotTable.tag())],
+    Discriminator(_tag_of_robot),
+]
 
 
 Drag = Annotated[float, Quantity(0.0, 20.0)]
@@ -208,7 +338,7 @@ class ExperimentTable(Table):
     """All tables of an experiment file."""
 
     name: str
-    robot: RobotTable
+    robot: AnyRobotTable
     parameters: ParametersTable
     sensors: SensorsTable = SensorsTable()
     water: WaterTable = WaterTable()

@@ -62,6 +62,10 @@ def toml_text(
     return tomlkit.dumps(document)
 
 
+TAG = "table "
+"""Start of the tags with which pydantic names a table if a field allows several tables."""
+
+
 def significant(value: float, digits: int = 9) -> float:
     """Returns `value` rounded to `digits` significant digits, for a file."""
     return float(f"{value:.{digits}g}")
@@ -81,18 +85,29 @@ def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:
 def field_at(
     table: type[BaseModel], location: Sequence[str | int]
 ) -> tuple[type[BaseModel], FieldInfo | None]:
-    """Returns the innermost table and the field at a key such as ("trials", 0, "phase")."""
-    field = None
-    for part in location:
-        if str(part).isdigit():
-            continue
-        field = table.model_fields.get(str(part))
-        if field is None:
-            break
-        for inner in (field.annotation, *getattr(field.annotation, "__args__", ())):
-            if isinstance(inner, type) and issubclass(inner, BaseModel):
-                table = inner
-    return table, field
+    """Returns the innermost table and the field at a key such as ("trials", 0, "phase").
+
+    If a field allows several tables, the location may contain the tag of one of them after the
+    field. Without a tag, it is the first table with the next key.
+    """
+    field, tables = None, [table]
+    for part in map(str, location):
+        if part.startswith(TAG):
+            tables = [x for x in tables if part == x.tag()]  # type: ignore[attr-defined]
+        elif not part.isdigit():
+            table = next((x for x in tables if part in x.model_fields), tables[0])
+            field = table.model_fields.get(part)
+            if field is None:
+                break
+            tables = _tables_in(field) or [table]
+    return tables[0] if field else table, field
+
+
+def _tables_in(field: FieldInfo) -> list[type[BaseModel]]:
+    """Returns the tables that a field allows, itself or as entries of a list."""
+    inner = (field.annotation, *getattr(field.annotation, "__args__", ()))
+    kinds = [getattr(x, "__origin__", x) for x in inner]
+    return [x for x in kinds if isinstance(x, type) and issubclass(x, BaseModel)]
 
 
 def quantity_of(field: FieldInfo | None) -> Quantity | None:
@@ -106,8 +121,8 @@ def quantity_of(field: FieldInfo | None) -> Quantity | None:
 def _message(table: type[BaseModel], error: Any) -> str:
     """Returns the message for one error of pydantic."""
     location = tuple(part for part in error["loc"] if not str(part).startswith("function-"))
-    where = ".".join(str(part) for part in location)
     owner, field = field_at(table, location)
+    where = ".".join(str(part) for part in location if not str(part).startswith(TAG))
     quantity = quantity_of(field)
     kind, given = error["type"], repr(error["input"])
     if kind == "table":

@@ -72,7 +72,7 @@ class Task(NamedTuple):
         numerics, scheme = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
         search = SteadySettings(steps_per_stride=steps_per_stride, numerics=numerics, scheme=scheme)
         box = gait_bounds(bounds)
-        stiffest = STIFFEST * experiment.robot.EI_body
+        stiffest = STIFFEST * float(experiment.robot_model().body.typical_EI)
         if box.high[-1] > stiffest:
             raise InputError.value(
                 "--EI-tail",

@@ -58,7 +58,7 @@ class Plant:
         if not 1e-4 <= step <= 1e-2:
             raise InputError.value("step of the plant", step, "1e-4 to 1e-2 s")
         self.step = step
-        self.faults = no_faults(experiment.robot.EI_tail)
+        self.faults = no_faults(float(experiment.robot_model().tail.typical_EI))
         self._faults = jax.device_put(self.faults)
         self._experiment = experiment
         self._numerics, self._scheme = to_numerics(experiment)
@@ -177,7 +177,7 @@ class Plant:
 
 
 def _with_faults(model: Model, faults: Faults) -> Model:
-    robot = eqx.tree_at(lambda r: r.EI_tail, model.robot, faults.EI_tail)
+    robot = model.robot.with_tail(EI=jnp.asarray(faults.EI_tail))
     effects = (*model.effects, ChamberFaults(*map(jnp.asarray, faults[:2])))
     return eqx.tree_at(lambda m: (m.robot, m.effects), model, (robot, effects))
 

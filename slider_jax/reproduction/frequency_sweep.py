@@ -17,7 +17,7 @@ from slider_jax.batch.strides import (
     run_strides,
     steady_quantities,
 )
-from slider_jax.beam.parameters import Numerics, Robot
+from slider_jax.beam.parameters import Numerics, Robot, uniform_robot
 from slider_jax.channels import CHANNELS
 
 SHOWN_FREQUENCIES = (1.0, 4.8)
@@ -31,7 +31,7 @@ class FrequencySweepSettings(eqx.Module):
     Steps per stride must be a multiple of 20: a time step then ends at each pressure step and pose.
     """
 
-    robot: Robot = Robot()
+    robot: Robot = uniform_robot()
     assumed: paper.Assumed = paper.Assumed()
     frequencies: tuple[float, ...] = eqx.field(static=True, default=paper.SWEEP)
     steps_per_stride: int = eqx.field(static=True, default=300)

@@ -11,7 +11,7 @@ import numpy as np
 
 from slider_jax import observables as obs, paper
 from slider_jax.actuation import FirstOrderLag
-from slider_jax.beam.parameters import Robot
+from slider_jax.beam.parameters import Robot, uniform_robot
 from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.effects.water.head_drag import HeadDrag
@@ -29,8 +29,12 @@ TRANSIENT_STRIDES, MEAN_STRIDES = 12, 4
 """With a clamped head: number of first strides to skip, number of next strides to average."""
 
 
-def _robot(**changed: Any) -> Callable[[Model], Model]:
-    return lambda model: replace(model, robot=replace(model.robot, **changed))
+def _robot(change: Callable[[Robot], Robot]) -> Callable[[Model], Model]:
+    return lambda model: replace(model, robot=change(model.robot))
+
+
+def _damped(damping_time: float) -> Callable[[Robot], Robot]:
+    return lambda x: x.with_parts(lambda part: replace(part, damping_time=damping_time))
 
 
 def _lag(k: float) -> Callable[[Model], Model]:
@@ -63,19 +67,21 @@ CHANGES: dict[str, Callable[[Model], Model]] = {
     AS_STATED: lambda model: model,
     NO_LAG: _lag(0.0),
     "lag k = 20 ms": _lag(0.02),
-    TIP_K_Q: _robot(K_Q=K_Q_OF_THE_TIP),
+    TIP_K_Q: _robot(lambda x: replace(x, K_Q=K_Q_OF_THE_TIP)),
     "both chambers at once": _drive("rear", phase=0.0),
     "phase 0.25": _drive("rear", phase=0.25),
     "front chamber alone": _drive("rear", amplitude=0.0),
-    SOFT_TAIL: _robot(EI_tail=0.001),
-    "70 mm tail of 5.8 mN m^2": _robot(tail_length=0.07, EI_tail=0.0058),
-    "half the body's EI": _robot(EI_body=0.019),
-    "twice the body's EI": _robot(EI_body=0.076),
-    "alpha = 5e-6 s": _robot(damping_time=5e-6),
-    "alpha = 10 ms": _robot(damping_time=0.01),
+    SOFT_TAIL: _robot(lambda x: x.with_tail(EI=0.001)),
+    "70 mm tail of 5.8 mN m^2": _robot(lambda x: x.with_tail(0.07, 0.0058)),
+    "half the body's EI": _robot(lambda x: replace(x, body=x.body.changed(EI=0.019))),
+    "twice the body's EI": _robot(lambda x: replace(x, body=x.body.changed(EI=0.076))),
+    "alpha = 5e-6 s": _robot(_damped(5e-6)),
+    "alpha = 10 ms": _robot(_damped(0.01)),
     "C_d = 1.2": _effect("normal_drag", C_d=1.2),
     "m_a = 0.5": _effect("reactive_force", m_a=0.5),
-    "chambers over the whole body": _robot(front_chamber=(0.0, 0.149), rear_chamber=(0.149, 0.298)),
+    "chambers over the whole body": _robot(
+        lambda x: replace(x, front_chamber=(0.0, 0.149), rear_chamber=(0.149, 0.298))
+    ),
     "twice the axial resistance": _effect("head_drag", area=2.0 * HEAD_DRAG),
 }
 """Changes of the model for the paper's optimal gait, by name. Each change is applied alone."""
@@ -181,6 +187,6 @@ def head_fixed_thrust(
 ) -> float:
     """Returns the mean thrust [N] of the paper's head-fixed test at 4.8 Hz with one change."""
     f = paper.THRUST_AT
-    fixed = paper.head_fixed(f, Robot(), paper.Assumed(amplitude=amplitude))
+    fixed = paper.head_fixed(f, uniform_robot(), paper.Assumed(amplitude=amplitude))
     model = CHANGES[change](replace(optimum, robot=fixed.robot, drive=fixed.drive))
     return clamped_performance(model, f, 0.0, search)["mean_thrust_N"]

@@ -1,7 +1,6 @@
 """Computes the signature of an effect: the change of one stride's readings due to the effect."""
 
 from collections.abc import Callable
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -9,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slider_jax import paper
-from slider_jax.beam.parameters import Robot
+from slider_jax.beam.parameters import SLIDER
 from slider_jax.channels import CHANNELS
 from slider_jax.effects import Prior
 from slider_jax.effects.library import LIBRARY
@@ -67,7 +66,7 @@ class EffectSignature(NamedTuple):
 
 def built_in_experiment() -> Experiment:
     """Returns an experiment with the built-in robot and one trial of eight strides at 4.8 Hz."""
-    robot, assumed = asdict(Robot()), paper.Assumed()
+    robot, assumed = dict(SLIDER), paper.Assumed()
     K_Q = robot.pop("K_Q")
     C_d, m_a = map(float, paper.force_coefficients(FREQUENCY))
     trial = {

@@ -99,7 +99,7 @@ def _capped(wave: Waveform, cap: Scalar) -> Wave:
 
 def driven(model: Model, gait: Gait) -> Model:
     """Returns the model with the tail and the square-wave drive of a gait."""
-    robot = replace(model.robot, tail_length=gait.tail_length, EI_tail=gait.EI_tail)
+    robot = model.robot.with_tail(gait.tail_length, gait.EI_tail)
     front = SquareWave(gait.frequency, gait.front)
     rear = SquareWave(gait.frequency, gait.rear, gait.phase)
     return replace(model, robot=robot, drive=Drive(front, rear))

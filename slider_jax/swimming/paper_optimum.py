@@ -1,12 +1,11 @@
 """Defines the paper's optimal swimmer as an experiment, and the published performance."""
 
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from slider_jax import paper
-from slider_jax.beam.parameters import Robot
+from slider_jax.beam.parameters import SLIDER
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, assemble, load
 from slider_jax.swimming.gait import CAP, Gait
@@ -40,7 +39,7 @@ and lambda has a root mean square slope of 0.57."""
 
 def swimmer_content(**trial: Any) -> dict[str, Any]:
     """Returns the tables of an experiment: built-in robot, form drag at the head, and one trial."""
-    robot = asdict(Robot())
+    robot = dict(SLIDER)
     K_Q = robot.pop("K_Q")
     return {
         "name": "swimmer",

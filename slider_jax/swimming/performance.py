@@ -117,7 +117,7 @@ def performance(model: Model, frequency, stride: Stride, search: SteadySettings)
     shape_wavelength = obs.shape_wavelength(mode, s)
     half = 0.5 * (jnp.max(across, axis=0) - jnp.min(across, axis=0))
     power, thrust = jnp.mean(stride.power), -jnp.mean(stride.resistance, axis=0) @ along
-    weight = G * model.body.linear_density * model.body.length
+    weight = G * model.body.mass
     return Performance(
         speed=speed,
         wavelength=wave.wavelength,

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax.actuation import FirstOrderLag, Recorded, SquareWave
-from slider_jax.beam.parameters import Robot
+from slider_jax.beam.parameters import uniform_robot
 from slider_jax.dynamics import pressures as pneumatics
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.supports import Clamped
@@ -33,7 +33,7 @@ def pressure_history(law, waveform, start, times):
 
 def chambers(effects, front, rear, t, start=0.0, law=LAG):
     """Returns the chambers' history (n, ...) from the pressure `start` [Pa] in both."""
-    model = Model(Robot(), tuple(effects), law, Drive(front, rear, start, start), Clamped())
+    model = Model(uniform_robot(), tuple(effects), law, Drive(front, rear, start, start), Clamped())
     model = arrays(model)
     begin = pneumatics.start_chambers(model)
     rest = chamber_history(model, begin, jnp.asarray(t))

@@ -7,7 +7,7 @@ import numpy as np
 
 from slider_jax.actuation import FirstOrderLag, SineWave, SquareWave
 from slider_jax.beam.equations import Reference
-from slider_jax.beam.parameters import Numerics, Robot, grid_of
+from slider_jax.beam.parameters import Numerics, grid_of, uniform_robot
 from slider_jax.beam.state import node_positions
 from slider_jax.dynamics.model import Drive, Model, make_mesh
 from slider_jax.dynamics.residual import Stage, residual
@@ -35,7 +35,7 @@ def swimmer(
 ) -> Model:
     """Returns the built-in robot in water, clamped, with both chambers driven, as arrays."""
     model = Model(
-        Robot(**robot),
+        uniform_robot(**robot),
         (NormalDrag(C_d), ReactiveForce(m_a)) if effects is None else effects,
         FirstOrderLag(k),
         Drive(wave(frequency, amplitude), wave(frequency, amplitude, phase)),
@@ -52,7 +52,9 @@ def arrays(tree):
 def uniform(L=0.368, EI=0.038, effects=(), support=None, **robot) -> Model:
     """Returns a passive uniform rod without drive, by default without damping."""
     robot = {"damping_time": 0.0, "EA_body": 1e6, "EA_tail": 1e6} | robot
-    rod = Robot(body_length=0.8 * L, tail_length=0.2 * L, EI_body=EI, EI_tail=EI, K_Q=0.0, **robot)
+    rod = uniform_robot(
+        body_length=0.8 * L, tail_length=0.2 * L, EI_body=EI, EI_tail=EI, K_Q=0.0, **robot
+    )
     return arrays(
         Model(
             rod,

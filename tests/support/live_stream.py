@@ -80,20 +80,20 @@ class Streaming:
         self.k, self.K_Q = k, K_Q
         self.drive, self.leak, self.shut, self.tare = 1.0, 0.0, 0.0, 0.0
         robot = model.robot
-        self.EI_tail, self.tail_length = float(robot.EI_tail), float(robot.tail_length)
-        self.numerics = Numerics(*split_cells(nodes, self.tail_length, float(robot.body_length)))
+        self.EI_tail, self.tail_length = float(robot.tail.EI), float(robot.tail.length)
+        self.numerics = Numerics(*split_cells(nodes, self.tail_length, float(robot.body.length)))
         self._model, self._rng, self.t = model, np.random.default_rng(seed), 0.0
         self._carry = at_rest(self.model, self.numerics)
 
     @property
     def model(self):
-        changed = {n: getattr(self, n) for n in ("K_Q", "EI_tail", "tail_length")}
+        robot = replace(self._model.robot, K_Q=self.K_Q)
         waves = (self._model.drive.front, self._model.drive.rear)
         waves = [replace(w, amplitude=self.drive * w.amplitude) for w in waves]
         model = replace(
             self._model,
             drive=replace(self._model.drive, front=waves[0], rear=waves[1]),
-            robot=replace(self._model.robot, **changed),
+            robot=robot.with_tail(self.tail_length, self.EI_tail),
             pressure_law=FirstOrderLag(self.k),
             effects=(*self._model.effects, FrontFault(self.leak, self.shut)),
         )

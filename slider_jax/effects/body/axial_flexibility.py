@@ -1,6 +1,6 @@
 """A body that stretches."""
 
-import dataclasses
+from dataclasses import replace
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BodyChange, parameter
@@ -25,5 +25,6 @@ class AxialFlexibility(BodyChange):
     """c, axial strain per axial force."""
 
     def change(self, robot):
-        EA = robot.EA_body / (1.0 + self.compliance * robot.EA_body)
-        return dataclasses.replace(robot, EA_body=EA)
+        body = robot.body
+        EA = body.EA / (1.0 + self.compliance * body.EA)
+        return replace(robot, body=replace(body, EA=EA))

@@ -1,7 +1,7 @@
 """A body stiffer or softer than measured."""
 
-import dataclasses
 import math
+from dataclasses import replace
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BodyChange, parameter
@@ -30,4 +30,5 @@ class BodyStiffness(BodyChange):
     """x, relative change of EI_body."""
 
     def change(self, robot):
-        return dataclasses.replace(robot, EI_body=robot.EI_body * (1.0 + self.x))
+        body = robot.body
+        return replace(robot, body=replace(body, EI=body.EI * (1.0 + self.x)))

@@ -25,4 +25,6 @@ class CarriedMass(BodyChange):
     """dm, additional mass per length."""
 
     def change(self, robot):
-        return dataclasses.replace(robot, linear_density=robot.linear_density + self.dm)
+        return robot.with_parts(
+            lambda part: dataclasses.replace(part, linear_density=part.linear_density + self.dm)
+        )

@@ -31,4 +31,6 @@ class MaterialDamping(BodyChange):
     """x, relative change of the damping time."""
 
     def change(self, robot):
-        return dataclasses.replace(robot, damping_time=robot.damping_time * (1.0 + self.x))
+        return robot.with_parts(
+            lambda part: dataclasses.replace(part, damping_time=part.damping_time * (1.0 + self.x))
+        )

@@ -1,7 +1,7 @@
 """A tail stiffer or softer than measured."""
 
-import dataclasses
 import math
+from dataclasses import replace
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BodyChange, parameter
@@ -31,4 +31,5 @@ class TailStiffness(BodyChange):
     """x, relative change of EI_tail."""
 
     def change(self, robot):
-        return dataclasses.replace(robot, EI_tail=robot.EI_tail * (1.0 + self.x))
+        tail = robot.tail
+        return replace(robot, tail=replace(tail, EI=tail.EI * (1.0 + self.x)))

@@ -19,7 +19,7 @@ from calibration.bench import statics
 from calibration.bench.ring_down import fit_decay, fit_ring_down
 from calibration.bench.statics import fit_shapes, identifiable_parameters
 from calibration.bench.tables import Bench, RingDown, Shapes, StaticsTable, load_bench
-from slider_jax.beam.parameters import Numerics, Robot
+from slider_jax.beam.parameters import Numerics, uniform_robot
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.io.toml import read_toml, validate
@@ -85,7 +85,7 @@ def table_of():
 
 
 def robot_of(**changes):
-    return Robot(**(ROBOT | changes))
+    return uniform_robot(**(ROBOT | changes))
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def model_tips(robot, on_tail, force, pressure):
         jnp.asarray(np.concatenate([np.asarray(x)] * 3)) for x in (on_tail, force, pressure)
     )
     robot = jax.tree.map(lambda x: jnp.asarray(x, float), robot)
-    logs = jnp.log(jnp.asarray([float(robot.EI_body), float(robot.EI_tail), float(robot.K_Q)]))
+    logs = jnp.log(jnp.asarray([float(robot.body.EI), float(robot.tail.EI), float(robot.K_Q)]))
     value, slope = statics._shapes(logs, robot, rows, MESH)
     return np.asarray(value)[0, :8], np.asarray(slope)[0, :8]
 

@@ -41,7 +41,7 @@ def test_an_unpowered_body_is_decelerated_by_its_friction():
     model = paper_swimmer(GAIT._replace(front=0.0, rear=0.0), "tangential_friction", C_t)
     carry = with_added_velocity(at_rest(model, QUICK.numerics), jnp.array([begin, 0.0]))
     _, pace = jax.jit(lambda m, c: simulate_strides(m, SWIMS, c, count, QUICK))(model, carry)
-    rate = 1000.0 * C_t * float(model.robot.height / model.robot.linear_density)
+    rate = 1000.0 * C_t * float(model.robot.body.height / model.robot.body.linear_density)
     middle = (count - 1.0) / GAIT.frequency
     v = 1.0 / (1.0 / begin + rate * middle)
     print(f"{float(pace.speed):.4f} m/s, {v:.4f} known")

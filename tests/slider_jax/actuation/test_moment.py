@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slider_jax.actuation.moment import chamber_windows, peskin_delta, spread
-from slider_jax.beam.parameters import Numerics, Robot, grid_of
+from slider_jax.beam.parameters import Numerics, grid_of, uniform_robot
 
-ROBOT = Robot(body_length=0.3, tail_length=0.07)
+ROBOT = uniform_robot(body_length=0.3, tail_length=0.07)
 GRIDS = [Numerics(tail_cells=10, body_cells=40), Numerics(4, 12), Numerics(2, 7)]
 
 
@@ -54,7 +54,9 @@ def test_couple_is_spread_over_four_nodes_away_from_the_ends():
 )
 def test_a_chamber_bends_the_body_along_its_whole_length(numerics, span):
     """The integral of M_act is K_Q p times the span, whichever way the span meets the grid."""
-    robot = Robot(body_length=0.3, tail_length=0.07, front_chamber=span, rear_chamber=(0.155, 0.28))
+    robot = uniform_robot(
+        body_length=0.3, tail_length=0.07, front_chamber=span, rear_chamber=(0.155, 0.28)
+    )
     grid = grid_of(robot, numerics)
     front, rear = chamber_windows(robot, grid) @ grid.ds
     assert float(front) == pytest.approx(span[1] - span[0], abs=1e-14)
@@ -62,7 +64,7 @@ def test_a_chamber_bends_the_body_along_its_whole_length(numerics, span):
 
 
 def test_the_window_is_one_inside_and_zero_outside():
-    robot = Robot(body_length=0.3, tail_length=0.07, front_chamber=(0.02, 0.145))
+    robot = uniform_robot(body_length=0.3, tail_length=0.07, front_chamber=(0.02, 0.145))
     grid = grid_of(robot, Numerics(tail_cells=28, body_cells=120))
     from_head = robot.length - np.asarray(grid.mid(grid.s))
     front, _ = np.asarray(chamber_windows(robot, grid))
@@ -78,7 +80,7 @@ def test_the_window_is_differentiable_in_the_span_on_and_off_nodes():
     for near in (0.06, float(ROBOT.length - grid.s[30])):
 
         def bend(near):
-            robot = Robot(body_length=0.3, tail_length=0.07, front_chamber=(near, 0.145))
+            robot = uniform_robot(body_length=0.3, tail_length=0.07, front_chamber=(near, 0.145))
             return chamber_windows(robot, grid)[0] @ grid.ds
 
         assert float(jax.jit(jax.grad(bend))(near)) == pytest.approx(-1.0, abs=1e-9)

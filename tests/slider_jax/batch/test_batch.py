@@ -17,7 +17,7 @@ def outcome(parameters):
     """Returns the loss, its parts and whether the run converged, for (C_d, EI_body, K_Q factor)."""
     C_d, EI, K = parameters
     model = eqx.tree_at(
-        lambda m: (m.effects[0].C_d, m.robot.EI_body, m.robot.K_Q),
+        lambda m: (m.effects[0].C_d, m.robot.body.EI, m.robot.K_Q),
         BASE,
         (C_d, EI, K * BASE.robot.K_Q),
     )

@@ -21,7 +21,7 @@ def leaves(model):
     drag, reactive = model.effects
     robot = model.robot
     law = model.pressure_law
-    return drag.C_d, reactive.m_a, law.k, robot.K_Q, robot.EI_body, robot.EI_tail
+    return drag.C_d, reactive.m_a, law.k, robot.K_Q, robot.body.EI, robot.tail.EI
 
 
 def mean_thrust(factors):

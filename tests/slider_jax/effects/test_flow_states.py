@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from slider_jax.beam.parameters import Robot
+from slider_jax.beam.parameters import uniform_robot
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.pressures import chamber_history, start_chambers
 from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
@@ -96,7 +96,7 @@ def test_derivatives_reach_the_parameters_through_the_states(effect):
     def last(x):
         flows = (jax.tree.unflatten(structure, list(x)),)
         drive = Drive(held(0.2 * A), held(0.2 * A), 0.9 * A, 0.9 * A)
-        model = Model(Robot(), flows, LAG, drive, Clamped())
+        model = Model(uniform_robot(), flows, LAG, drive, Clamped())
         return chamber_history(model, start_chambers(model), jnp.asarray(T[:101])).p[-1, 0]
 
     at = jnp.asarray(leaves)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from slider_jax.actuation import FirstOrderLag, SquareWave
-from slider_jax.beam.parameters import Robot
+from slider_jax.beam.parameters import uniform_robot
 from slider_jax.channels import recorded
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.pressures import start_chambers
@@ -36,7 +36,7 @@ TIMES = TimeGrid.per_stride(4.0, 60, 1)
 def readings(effects):
     """(5, steps + 1): the sensors of a towed robot from rest; drive edges between steps."""
     model = Model(
-        Robot(),
+        uniform_robot(),
         (NormalDrag(3.0), ReactiveForce(1.0), *effects),
         FirstOrderLag(0.03),
         Drive(SquareWave(4.0, 250e3, 0.031), SquareWave(4.0, 220e3, 0.177)),

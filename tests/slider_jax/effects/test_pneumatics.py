@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slider_jax.actuation import Ideal, Recorded, SquareWave
-from slider_jax.beam.parameters import Robot
+from slider_jax.beam.parameters import uniform_robot
 from slider_jax.dynamics.model import make_mesh
 from slider_jax.effects.library import DICTIONARY
 from slider_jax.effects.pneumatics.actuator_creep import ActuatorCreep
@@ -330,7 +330,7 @@ def test_a_threshold_is_lost_at_high_pressure_and_softens_low_pressure():
 
 def span_moments(effect, p_front, p_rear):
     """Moments [N m] in the middle of the front and of the rear chamber."""
-    robot, mesh = Robot(), make_mesh(Robot(), SMALL)
+    robot, mesh = uniform_robot(), make_mesh(uniform_robot(), SMALL)
     moment = acting(effect, p_front, p_rear) @ mesh.chambers
     middles = [robot.length - np.mean(c) for c in (robot.front_chamber, robot.rear_chamber)]
     return np.interp(middles, mesh.structure.s, moment)
@@ -338,7 +338,7 @@ def span_moments(effect, p_front, p_rear):
 
 def test_mismatch_moves_moment_from_the_rear_to_the_front():
     plain, moved = (span_moments(ChamberMismatch(d), A, A) for d in (0.0, 0.2))
-    np.testing.assert_allclose(plain, Robot().K_Q * A, rtol=1e-12)
+    np.testing.assert_allclose(plain, uniform_robot().K_Q * A, rtol=1e-12)
     np.testing.assert_allclose(moved / plain, [1.2, 0.8], rtol=1e-12)
 
 
@@ -349,7 +349,8 @@ def test_crosstalk_bends_the_span_of_the_empty_chamber():
     front, rear = span_moments(ChamberCrosstalk(c), A, 0.0)
     assert rear == pytest.approx(c * front)
     antagonists = span_moments(ChamberCrosstalk(c), A, -A)
-    np.testing.assert_allclose(antagonists, (1.0 - c) * Robot().K_Q * A * np.array([1.0, -1.0]))
+    expected = (1.0 - c) * uniform_robot().K_Q * A * np.array([1.0, -1.0])
+    np.testing.assert_allclose(antagonists, expected)
 
 
 def triangle(per_branch, duration):

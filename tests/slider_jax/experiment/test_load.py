@@ -24,14 +24,12 @@ def test_every_number_of_the_file_reaches_the_model(tmp_path):
     robot, drive = model.robot, model.drive
     drag, reactive = model.effects
     pairs = [
-        (robot.body_length, 0.3),
-        (robot.tail_length, 0.07),
-        (robot.linear_density, 0.7),
-        (robot.EI_body, 0.038),
-        (robot.EI_tail, 0.0058),
-        (robot.EA_body, 1e5),
-        (robot.damping_time, 0.002),
-        (robot.height, 0.03),
+        ((robot.body.length, robot.tail.length), (0.3, 0.07)),
+        ((robot.body.linear_density, robot.tail.linear_density), (0.7, 0.7)),
+        ((robot.body.EI, robot.tail.EI), (0.038, 0.0058)),
+        ((robot.body.EA, robot.tail.EA), (1e5, 1e5)),
+        ((robot.body.damping_time, robot.tail.damping_time), (0.002, 0.002)),
+        ((robot.body.height, robot.tail.height), (0.03, 0.03)),
         (robot.front_chamber, (0.02, 0.145)),
         (robot.rear_chamber, (0.155, 0.28)),
         (robot.K_Q, 4.79e-7),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slider_jax import paper
-from slider_jax.beam.parameters import Numerics, Robot
+from slider_jax.beam.parameters import Numerics, uniform_robot
 from slider_jax.dynamics.statics import Loads, at_rest_under
 from slider_jax.experiment.load import Experiment
 from slider_jax.reproduction.table_sensitivity import (
@@ -105,11 +105,11 @@ def test_the_k_q_of_the_tip_gives_the_papers_tip_displacement():
 
     @jax.jit
     def tip(K_Q):
-        model = paper.head_fixed(4.8, Robot(K_Q=K_Q))
+        model = paper.head_fixed(4.8, uniform_robot(K_Q=K_Q))
         found = at_rest_under(model, Loads(jnp.zeros(2), jnp.array([45e3, 45e3])))
         return found.shape[1, 0], found.ok
 
-    for K_Q, known in ((K_Q_OF_THE_TIP, 0.102), (Robot().K_Q, 0.031)):
+    for K_Q, known in ((K_Q_OF_THE_TIP, 0.102), (uniform_robot().K_Q, 0.031)):
         found, ok = tip(jnp.asarray(K_Q))
         assert bool(ok) and abs(float(found)) == pytest.approx(known, rel=0.01)
 

@@ -71,7 +71,7 @@ def test_a_body_without_forces_drifts_at_constant_velocity():
     model = eqx.tree_at(lambda m: m.robot.K_Q, dry(), jnp.zeros(()))
     out = swim(model, jnp.asarray(H), *straight_state(nodes_of(model, FINE), 0.5, -0.2))
     P = np.asarray(out.saved[0])
-    mass = float(model.robot.linear_density * model.robot.length)
+    mass = float(model.robot.mass)
     assert bool(out.ok)
     np.testing.assert_allclose(P / mass, [[0.5, -0.2]] * STEPS, atol=1e-9)
 

@@ -151,7 +151,7 @@ def test_a_swept_tail_keeps_its_cells(experiment):
     # 0.07 of 0.37 m, as in the file: 2 of 10 cells, 4 of 20.
     cells = [(g.plan.numerics.tail_cells, g.plan.numerics.body_cells) for g in groups_of(task)]
     assert cells == [(2, 8), (4, 16)]
-    np.testing.assert_array_equal(groups_of(task)[0].members.model.robot.tail_length, tails.values)
+    np.testing.assert_array_equal(groups_of(task)[0].members.model.robot.tail.lengths, tails.values)
 
 
 def test_the_ramp_follows_a_swept_frequency(experiment):

@@ -1,0 +1,165 @@
+"""Tests of robots with segments in an experiment file: the same robot written in several ways."""
+
+import jax
+import numpy as np
+import pytest
+
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import load, to_model
+from slider_jax.experiment.robot import RIGID_FACTOR
+from slider_jax.simulation.trial import simulate_trial
+from tests.support.experiments import SMALL, write_small_experiment
+
+KEYS = SMALL[SMALL.index("body_length") : SMALL.index("front_chamber")]
+COMMON = "linear_density = 0.7\ndamping_time = 0.002\nheight = 0.03\n"
+
+
+def segment(length, EI, part="body", more=""):
+    return f'[[robot.segments]]\nlength = {length}\nEI = {EI}\npart = "{part}"\n{more}\n'
+
+
+TAIL = segment(0.07, 0.0058, "tail")
+
+
+def with_segments(folder, segments, common=COMMON):
+    """Writes the small experiment with `segments` instead of a uniform body and tail."""
+    path = write_small_experiment(
+        folder, (KEYS, common), ("[parameters]", f"{segments}[parameters]")
+    )
+    return path
+
+
+def thrust_of(path):
+    return np.asarray(simulate_trial(load(path)).series["thrust"])
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 20])
+def test_a_body_in_equal_segments_is_the_uniform_body(tmp_path, count):
+    uniform = to_model(load(write_small_experiment(tmp_path)))
+    cut = to_model(load(with_segments(tmp_path, count * segment(0.3 / count, 0.038) + TAIL)))
+    assert jax.tree.structure(cut) == jax.tree.structure(uniform)
+    for x, y in zip(jax.tree.leaves(cut), jax.tree.leaves(uniform), strict=True):
+        np.testing.assert_allclose(x, y, rtol=1e-15)
+
+
+def test_a_constant_profile_gives_the_thrust_of_the_uniform_robot(tmp_path):
+    """One knot of the profile differs by a billionth, so the profile is not simplified."""
+    uniform = thrust_of(write_small_experiment(tmp_path))
+    rows = [(0.0, 0.038), (0.11, 0.038 * (1.0 + 1e-12)), (0.3, 0.038)]
+    text = "s_m,EI_N_m2\n" + "".join(f"{s},{EI:.15g}\n" for s, EI in rows)
+    (tmp_path / "body.csv").write_text(text)
+    segments = '[[robot.segments]]\nlength = 0.3\nprofile = "body.csv"\n' + TAIL
+    path = with_segments(tmp_path, segments)
+    assert to_model(load(path)).robot.body.EI.shape == (2, 2)
+    np.testing.assert_allclose(thrust_of(path), uniform, rtol=1e-8, atol=1e-11)
+
+
+def test_a_rigid_segment_has_a_large_stiffness(tmp_path):
+    stiff = "[[robot.segments]]\nlength = 0.05\nrigid = true\n"
+    path = with_segments(tmp_path, stiff + segment(0.25, 0.038) + TAIL)
+    body = to_model(load(path)).robot.body
+    np.testing.assert_allclose(body.EI[:, 0], [RIGID_FACTOR * 0.038, 0.038])
+    np.testing.assert_allclose(body.lengths, [0.05, 0.25])
+
+
+def test_a_robot_may_have_no_tail(tmp_path):
+    path = with_segments(tmp_path, segment(0.3, 0.038))
+    assert float(to_model(load(path)).robot.length) == 0.3
+    assert np.isfinite(thrust_of(path)).all()
+
+
+def test_a_point_mass_reaches_the_model(tmp_path):
+    mass = "[[robot.point_masses]]\ns = 0.3\nmass = 0.04\n"
+    robot = to_model(load(with_segments(tmp_path, segment(0.3, 0.038) + TAIL + mass))).robot
+    assert float(robot.mass) == pytest.approx(0.7 * 0.37 + 0.04)
+
+
+CASES = {
+    "tail before the body": (
+        segment(0.2, 0.038) + TAIL + segment(0.1, 0.038),
+        COMMON,
+        'robot.segments.2.part: given "body"; allowed "tail", because the segment before',
+    ),
+    "no body": (TAIL, COMMON, 'robot.segments.0.part: given "tail"; allowed "body"'),
+    "no stiffness": (
+        "[[robot.segments]]\nlength = 0.3\n",
+        COMMON,
+        "robot.segments.0.EI: given nothing; allowed a number here, in [robot]",
+    ),
+    "no height": (
+        segment(0.3, 0.038),
+        COMMON.replace("height = 0.03\n", ""),
+        "robot.segments.0.height: given nothing",
+    ),
+    "millimetres": (segment(300.0, 0.038), COMMON, "robot.segments.0.length: given 300.0; allowed"),
+    "unknown key": (
+        segment(0.3, 0.038, more="EI_body = 1.0"),
+        COMMON,
+        "robot.segments.0.EI_body: unknown key",
+    ),
+    "keys of both kinds": (
+        segment(0.3, 0.038),
+        COMMON + "body_length = 0.3\n",
+        "robot.body_length: unknown key",
+    ),
+    "missing length": (
+        "[[robot.segments]]\nEI = 0.04\n",
+        COMMON,
+        "robot.segments.0.length: missing",
+    ),
+    "unknown part": (
+        segment(0.3, 0.038, "head"),
+        COMMON,
+        "robot.segments.0.part: given 'head'; allowed 'body' or 'tail'",
+    ),
+    "chamber beyond the body": (
+        segment(0.2, 0.038) + TAIL,
+        COMMON,
+        "robot.rear_chamber: given [0.155, 0.28]; allowed spans within the body, 0 to 0.2 m",
+    ),
+    "mass beyond the robot": (
+        segment(0.3, 0.038) + TAIL + "[[robot.point_masses]]\ns = 0.4\nmass = 0.1\n",
+        COMMON,
+        "robot.point_masses.0.s: given 0.4; allowed 0 to 0.37 m",
+    ),
+    "NaN": (segment("nan", 0.038), COMMON, "robot.segments.0.length: given nan"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_an_invalid_segment_is_named(tmp_path, name):
+    segments, common, message = CASES[name]
+    with pytest.raises(InputError) as error:
+        load(with_segments(tmp_path, segments, common))
+    assert message in str(error.value)
+
+
+PROFILES = {
+    "short": ("s_m,EI_N_m2\n0,0.03\n0.2,0.03\n", "s_m covers 0 to 0.2 m; allowed 0 to 0.3 m"),
+    "one row": ("s_m,EI_N_m2\n0,0.03\n", "1 rows under the header; at least 2 are needed"),
+    "backwards": ("s_m,EI_N_m2\n0,0.03\n0.3,0.03\n0.2,0.03\n", "the distance must increase"),
+    "NaN": ("s_m,EI_N_m2\n0,0.03\n0.2,\n0.3,0.03\n", "line 3, column EI_N_m2: given nan"),
+    "wrong unit": ("s_m,EI_N_m2\n0,3e4\n0.3,3e4\n", "column EI_N_m2: given 30000; allowed 1e-06"),
+    "no column": ("s_m,height_m\n0,0.03\n0.3,0.03\n", "no column EI_N_m2; add this column"),
+    "column and number": (
+        "s_m,EI_N_m2,linear_density_kg_per_m\n0,0.03,0.7\n0.3,0.03,0.7\n",
+        "column linear_density_kg_per_m: the segment also has linear_density = 0.5",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_an_invalid_profile_is_named(tmp_path, name):
+    text, message = PROFILES[name]
+    (tmp_path / "body.csv").write_text(text)
+    own = "linear_density = 0.5\n" if name == "column and number" else ""
+    segments = f'[[robot.segments]]\nlength = 0.3\n{own}profile = "body.csv"\n{TAIL}'
+    with pytest.raises(InputError) as error:
+        to_model(load(with_segments(tmp_path, segments)))
+    assert "body.csv" in str(error.value) and message in str(error.value)
+
+
+def test_a_missing_profile_is_named(tmp_path):
+    segments = f'[[robot.segments]]\nlength = 0.3\nprofile = "none.csv"\n{TAIL}'
+    with pytest.raises(InputError, match="none.csv"):
+        to_model(load(with_segments(tmp_path, segments)))
