@@ -12,7 +12,7 @@ from calibration.bench.tables import StaticsTable
 from rig.cli.settings import RigTable
 from slider_jax.channels import CHANNELS, TIME
 from slider_jax.experiment.schema import ExperimentTable
-from slider_jax.io.toml import quantity_of
+from slider_jax.io.toml import quantity_of, tables_in
 
 PAGE = "reference/file_formats.md"
 KEYS = Path(__file__).with_name("file_keys.toml")
@@ -41,21 +41,22 @@ def descriptions() -> dict[str, dict[str, str]]:
     return tomllib.loads(KEYS.read_text(encoding="utf-8"))
 
 
-def inner_table(field: FieldInfo) -> type[BaseModel] | None:
-    """Returns the schema of a key that holds a table or an array of tables, or None."""
-    kinds = (field.annotation, *get_args(field.annotation))
-    tables = [x for x in kinds if isinstance(x, type) and issubclass(x, BaseModel)]
-    return tables[0] if tables else None
+def tables(table: type[BaseModel], path: str = "", header: str = "") -> dict[str, type[BaseModel]]:
+    """Returns the tables of a file by their heading; the top level's heading is empty.
 
-
-def tables(table: type[BaseModel], path: str = "") -> dict[str, type[BaseModel]]:
-    """Returns the tables of a file by their TOML header; the top level's header is empty."""
-    found = {path: table}
+    The heading is the table's TOML header. If a key allows several tables, the heading of a further
+    table also contains the key that only this table has.
+    """
+    found = {header: table}
     for key, field in table.model_fields.items():
-        inner = inner_table(field)
-        if inner is not None:
-            name = f"{path.strip('[]')}.{key}" if path else key
-            found |= tables(inner, f"[[{name}]]" if _is_list(field) else f"[{name}]")
+        name = f"{path}.{key}" if path else key
+        inner = f"`[[{name}]]`" if _is_list(field) else f"`[{name}]`"
+        first, *further = tables_in(field) or [None]
+        if first is not None:
+            found |= tables(first, name, inner)
+        for other in further:
+            own = next(x for x in other.model_fields if x not in first.model_fields)
+            found |= tables(other, name, f"{inner} with `{own}`")
     return found
 
 
@@ -68,6 +69,8 @@ def _kind(annotation: Any) -> str:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "table"
     origin, inner = get_origin(annotation), get_args(annotation)
+    if {_kind(get_args(x)[0]) for x in inner if hasattr(x, "__metadata__")} == {"table"}:
+        return "table"
     if origin is Literal:
         return ", ".join(f"`{x}`" for x in inner)
     if origin is tuple:
@@ -172,9 +175,9 @@ def pages() -> dict[str, str]:
     for heading, (schema, purpose) in FILES.items():
         lines += ["", f"## {heading}", "", purpose]
         for name, table in tables(schema).items():
-            lines += ["", f"### {f'`{name}`' if name else 'Top level'}", ""]
+            lines += ["", f"### {name or 'Top level'}", ""]
             if table in shown:
-                lines.append(f"The keys of `{name}` are those of `{name}` in an experiment file.")
+                lines.append(f"The keys of {name} are those of {name} in an experiment file.")
             else:
                 lines += _rows(table, texts[table.__name__])
             shown.add(table)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.beam.grid import Grid, make_grid
-from slider_jax.beam.parts import Part, Scalar
+from slider_jax.beam.parts import RobotPart, Scalar
 
 G = 9.81
 """Acceleration of gravity [m/s^2]."""
@@ -30,8 +30,8 @@ class Robot(eqx.Module):
     | `point_masses` | m, kg | distance from the head and mass of each point mass |
     """
 
-    body: Part
-    tail: Part
+    body: RobotPart
+    tail: RobotPart
     front_chamber: tuple[Scalar, Scalar]
     rear_chamber: tuple[Scalar, Scalar]
     K_Q: Scalar
@@ -49,10 +49,10 @@ class Robot(eqx.Module):
         return mass if self.point_masses is None else mass + jnp.sum(self.point_masses[:, 1])
 
     def with_tail(self, length: Scalar | None = None, EI: Scalar | None = None) -> "Robot":
-        """Returns the robot with another length [m] or EI [N m^2] of the tail: `Part.changed`."""
+        """Returns the robot with another length [m] or stiffness [N m^2] of the tail."""
         return replace(self, tail=self.tail.changed(length, EI))
 
-    def with_parts(self, change: Callable[[Part], Part]) -> "Robot":
+    def with_parts(self, change: Callable[[RobotPart], RobotPart]) -> "Robot":
         """Returns the robot with `change(part)` for body and tail."""
         return replace(self, body=change(self.body), tail=change(self.tail))
 
@@ -81,7 +81,7 @@ def uniform_robot(**changes: Any) -> Robot:
     if unknown:
         raise TypeError(f"uniform_robot: given {', '.join(unknown)}; allowed {', '.join(SLIDER)}")
     body, tail = (
-        Part(
+        RobotPart(
             lengths=x[f"{part}_length"],
             linear_density=x["linear_density"],
             EI=x[f"EI_{part}"],

@@ -18,7 +18,7 @@ Property = Float[Array, "pieces 2"] | Scalar
 """A number, or the values at the near end and at the far end of each piece."""
 
 
-class Part(eqx.Module):
+class RobotPart(eqx.Module):
     """A part of the robot, in SI units.
 
     | field | unit | meaning |
@@ -58,7 +58,7 @@ class Part(eqx.Module):
             return self.EI
         return self.length / jnp.sum(self.lengths * _mean_of_ends(1.0 / self.EI))
 
-    def changed(self, length: Scalar | None = None, EI: Scalar | None = None) -> "Part":
+    def changed(self, length: Scalar | None = None, EI: Scalar | None = None) -> "RobotPart":
         """Returns the part with another `length` [m] or another `typical_EI` [N m^2].
 
         Lengths and stiffnesses of the pieces keep their ratios.

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax.beam.parameters import Robot, uniform_robot
-from slider_jax.beam.parts import Part, Property
+from slider_jax.beam.parts import Property, RobotPart
 from slider_jax.errors import InputError
 from slider_jax.experiment.schema import (
     PROFILE_COLUMNS,
@@ -112,7 +112,7 @@ def _profile(path: Path, segment: SegmentTable) -> dict[str, np.ndarray]:
     return columns
 
 
-def _part(segments: list[Pieces]) -> Part | None:
+def _part(segments: list[Pieces]) -> RobotPart | None:
     """Returns the part that consists of `segments`. A uniform property is one number."""
     if not segments:
         return None
@@ -125,10 +125,14 @@ def _part(segments: list[Pieces]) -> Part | None:
     lengths = joined["lengths"]
     properties = {name: simplest(name) for name in PROFILE_COLUMNS}
     uniform = all(isinstance(x, float) for x in properties.values())
-    return Part(lengths=float(lengths.sum()) if uniform else jnp.asarray(lengths), **properties)
+    return RobotPart(
+        lengths=float(lengths.sum()) if uniform else jnp.asarray(lengths), **properties
+    )
 
 
-def _no_tail(body: Part) -> Part:
+def _no_tail(body: RobotPart) -> RobotPart:
     """Returns a tail of zero length, with the properties of the body's far end."""
     ends = {name: getattr(body, name) for name in PROFILE_COLUMNS}
-    return Part(lengths=0.0, **{k: x if jnp.ndim(x) == 0 else x[-1, 1] for k, x in ends.items()})
+    return RobotPart(
+        lengths=0.0, **{k: x if jnp.ndim(x) == 0 else x[-1, 1] for k, x in ends.items()}
+    )

@@ -99,11 +99,11 @@ def field_at(
             field = table.model_fields.get(part)
             if field is None:
                 break
-            tables = _tables_in(field) or [table]
+            tables = tables_in(field) or [table]
     return tables[0] if field else table, field
 
 
-def _tables_in(field: FieldInfo) -> list[type[BaseModel]]:
+def tables_in(field: FieldInfo) -> list[type[BaseModel]]:
     """Returns the tables that a field allows, itself or as entries of a list."""
     inner = (field.annotation, *getattr(field.annotation, "__args__", ()))
     kinds = [getattr(x, "__origin__", x) for x in inner]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slider_jax.beam.parameters import Numerics, Robot
-from slider_jax.beam.parts import Part
+from slider_jax.beam.parts import RobotPart
 from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.statics import Loads, at_rest_under
 from tests.support.helpers import arrays, uniform
@@ -21,7 +21,7 @@ def part(lengths, **properties):
     values = {
         k: jnp.asarray(v, float) if np.ndim(v) else v for k, v in (given | properties).items()
     }
-    return Part(lengths=jnp.asarray(lengths, float) if np.ndim(lengths) else lengths, **values)
+    return RobotPart(lengths=jnp.asarray(lengths, float) if np.ndim(lengths) else lengths, **values)
 
 
 def rod(lengths, **properties) -> Model:
