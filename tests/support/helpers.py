@@ -51,13 +51,11 @@ def arrays(tree):
 
 def uniform(L=0.368, EI=0.038, effects=(), support=None, **robot) -> Model:
     """Returns a passive uniform rod without drive, by default without damping."""
-    robot = {"damping_time": 0.0, "EA_body": 1e6, "EA_tail": 1e6} | robot
-    rod = uniform_robot(
-        body_length=0.8 * L, tail_length=0.2 * L, EI_body=EI, EI_tail=EI, K_Q=0.0, **robot
-    )
+    shape = {"body_length": 0.8 * L, "tail_length": 0.2 * L, "EI_body": EI, "EI_tail": EI}
+    rod = {"damping_time": 0.0, "EA_body": 1e6, "EA_tail": 1e6, "K_Q": 0.0} | shape | robot
     return arrays(
         Model(
-            rod,
+            uniform_robot(**rod),
             tuple(effects),
             FirstOrderLag(0.1),
             Drive(SineWave(1.0, 0.0), SineWave(1.0, 0.0)),

@@ -67,8 +67,7 @@ MOUNTINGS = (SurgeCompliance, SwayCompliance)
 
 def settled(effects, tail_load=None, dt=1e9, **robot):
     """Returns the unknowns (6, N) of the clamped rod one step `dt` [s] after it was straight."""
-    model = uniform(L, effects=effects)
-    model = dataclasses.replace(model, robot=arrays(dataclasses.replace(model.robot, **robot)))
+    model = uniform(L, effects=effects, **robot)
     model = dataclasses.replace(model, robot=model.body)
     y, _ = straight_state(nodes_of(model, SMALL))
     stage = stage_of(model, SMALL, y, dt)

@@ -1,9 +1,12 @@
 """Tests of robots with segments in an experiment file: the same robot written in several ways."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from slider_jax.beam.parameters import Numerics
+from slider_jax.dynamics.statics import Loads, at_rest_under
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
 from slider_jax.experiment.robot import RIGID_FACTOR
@@ -60,6 +63,18 @@ def test_a_rigid_segment_has_a_large_stiffness(tmp_path):
     body = to_model(load(path)).robot.body
     np.testing.assert_allclose(body.EI[:, 0], [RIGID_FACTOR * 0.038, 0.038])
     np.testing.assert_allclose(body.lengths, [0.05, 0.25])
+
+
+def test_a_robot_bends_behind_its_rigid_segment_as_if_it_were_clamped_there(tmp_path):
+    """The tip's displacement is F l^3/(3 EI), with the length l of the flexible part."""
+    stiff = "[[robot.segments]]\nlength = 0.1\nrigid = true\n"
+    path = with_segments(tmp_path, stiff + segment(0.2, 0.038) + segment(0.07, 0.038, "tail"))
+    force = 0.002
+    loads = Loads(jnp.array([0.0, force]), jnp.zeros(2))
+    mesh = Numerics(tail_cells=30, body_cells=120)
+    found = at_rest_under(to_model(load(path)), loads, mesh)
+    assert bool(found.ok)
+    assert float(found.shape[1, 0]) == pytest.approx(force * 0.27**3 / (3.0 * 0.038), rel=1e-3)
 
 
 def test_a_robot_may_have_no_tail(tmp_path):

@@ -195,7 +195,7 @@ def test_a_missing_swimmer_file_is_refused(tmp_path):
 def made_up_table(batch, _):
     """Replaces the simulation by the parabola over phase of `PAPERS`."""
     model = batch.model
-    bend = 0.1 / np.asarray(model.robot.tail.length)
+    bend = 0.1 / np.asarray(model.robot.tail.lengths)
     return {"speed_m_per_s": 0.3 - bend * (np.asarray(model.drive.rear.phase) - 0.15) ** 2}
 
 
