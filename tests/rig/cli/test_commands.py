@@ -92,7 +92,9 @@ def test_a_run_writes_an_experiments_folder(measured):
     found = np.genfromtxt(out / "a.csv", delimiter=",", names=True)
     assert found.dtype.names == ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
     assert len(found) == pytest.approx(500, abs=1) and np.isfinite(found.tolist()).all()
-    assert np.abs(found["p_front_Pa"]).max() == pytest.approx(190e3, rel=0.1)
+    # The first half stride of 0.1 s fills the empty chamber towards 200 kPa, with a lag of 50 ms.
+    peak = 200e3 * (1.0 - np.exp(-2.0))
+    assert np.abs(found["p_front_Pa"]).max() == pytest.approx(peak, rel=0.05)
     # In the simulated bench, thrust is proportional to the square of the tip's speed.
     speed = np.gradient(found["tip_m"], found["t_s"])
     assert np.corrcoef(found["thrust_N"], speed**2)[0, 1] > 0.97
