@@ -233,7 +233,7 @@ def _start(record: RingDown, decay: Decay, robot, density, grid, numerics) -> np
 
     The function simulates twice, and corrects the parameters after each simulation.
     """
-    length, EI = float(robot.length), float(robot.body.typical_EI)
+    length, EI = float(robot.length), float(robot.body.effective_EI)
     first = float(np.mean(record.tip[: max(2, len(record.tip) // 200)]) - np.mean(record.tip))
     alpha = max(decay.damping_time, MIN_DAMPING)
     theta = np.array([np.log(alpha), 0.0, 3.0 * EI * first / length**3, AIR_DRAG[0]])

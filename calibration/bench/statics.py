@@ -127,7 +127,7 @@ def tail_alone(robot: Robot) -> Robot:
 
 def given_values(robot: Robot) -> dict[str, float]:
     """Returns the robot's values of the parameters in `UNITS`."""
-    parts = robot.body.typical_EI, robot.tail.typical_EI
+    parts = robot.body.effective_EI, robot.tail.effective_EI
     values = *parts, robot.K_Q, robot.body.damping_time
     return {name: float(x) for name, x in zip(UNITS, values, strict=True)}
 

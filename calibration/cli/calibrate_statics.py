@@ -1,7 +1,7 @@
 """`slider calibrate statics`: identifies EI, damping and K_Q from bench tests in air."""
 
 import sys
-from operator import attrgetter
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -26,8 +26,6 @@ def statics(
         out: folder for the results; created if missing. Files of the same name are replaced.
         plot: draw the pictures (PNG); --no-plot omits them.
     """
-    import equinox as eqx
-
     from calibration.bench import report
     from calibration.bench.ring_down import fit_ring_down
     from calibration.bench.statics import fit_shapes
@@ -43,10 +41,9 @@ def statics(
         if found.ring_down is not None:
             print("fitting the ring-down ...", file=sys.stderr)
             known = shapes.parameters if shapes else {}
-            robot = found.robot
-            for name in ("EI_body", "EI_tail"):
-                if name in known and known[name].determined:
-                    robot = eqx.tree_at(attrgetter(name), robot, known[name].value)
+            EI = {name: x.value for name, x in known.items() if x.determined}
+            robot = found.robot.with_tail(EI=EI.get("EI_tail"))
+            robot = replace(robot, body=robot.body.changed(EI=EI.get("EI_body")))
             ring = fit_ring_down(found, robot)
         result = report.Statics(found, shapes, ring)
         write_json(stage / "statics.json", report.statics_record(result, input_file(bench)))

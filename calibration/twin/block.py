@@ -137,7 +137,7 @@ def live_model(experiment: Experiment, trial: Trial) -> Model:
 def parameter_values(experiment: Experiment) -> np.ndarray:
     """Returns the values (parameters,) of `PARAMETERS` in an experiment."""
     parameters, tail = experiment.parameters, experiment.robot_model().tail
-    return np.array([parameters.k, parameters.K_Q, tail.typical_EI, tail.length], float)
+    return np.array([parameters.k, parameters.K_Q, tail.effective_EI, tail.length], float)
 
 
 def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -> BlockState:

@@ -64,10 +64,10 @@ def load_trials(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
 
 
 def copy_experiment(path: Path, folder: Path) -> None:
-    """Copies an experiment file to experiment.toml in a folder, and its recorded drives."""
+    """Copies an experiment file to experiment.toml in a folder, and the files that it names."""
     table, _ = load_trials(path)
     write_bytes(folder / "experiment.toml", path.read_bytes())
-    for name in {x.drive_file for x in table.trials if x.drive_file}:
+    for name in {x.drive_file for x in table.trials if x.drive_file} | set(table.robot.files):
         write_bytes(folder / name, (path.parent / name).read_bytes())
 
 

@@ -1,8 +1,8 @@
 """The spatial grid: nodes from the tail (s = 0) to the head (s = L), and cells between the nodes.
 
 All cells of the tail are equally long, and all cells of the body are equally long. The joint is
-always a node, so the stiffness of a cell is uniform. The numbers of cells are static, so the
-positions of the nodes are differentiable with respect to a length, such as the tail length.
+always a node, so no cell belongs to both. The numbers of cells are static, so the positions of the
+nodes are differentiable with respect to a length, such as the tail length.
 """
 
 import equinox as eqx

@@ -123,7 +123,7 @@ def scales_of(robot: Robot) -> Float[Array, "6 1"]:
 
     Forces: EI/L^2. Moment: EI/L. Speeds: sqrt(EI/m)/L with the mass per length m. Angle: 1 rad.
     """
-    L, EI = robot.length, robot.body.typical_EI
+    L, EI = robot.length, robot.body.effective_EI
     force = EI / L**2
     speed = jnp.sqrt(EI * robot.body.length / robot.body.mass) / L
     values = [jnp.asarray(x, float) for x in (force, force, EI / L, speed, speed, 1.0)]

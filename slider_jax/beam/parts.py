@@ -52,14 +52,19 @@ class RobotPart(eqx.Module):
         return jnp.sum(self.lengths * _mean_of_ends(self.linear_density))
 
     @property
-    def typical_EI(self) -> Scalar:
+    def effective_EI(self) -> Scalar:
         """EI [N m^2] of a uniform part that bends as much under a uniform moment."""
         if jnp.ndim(self.EI) == 0:
             return self.EI
-        return self.length / jnp.sum(self.lengths * _mean_of_ends(1.0 / self.EI))
+        near, far = jnp.asarray(self.EI).T
+        # The mean of 1/EI is log(far/near)/(far - near), which is 2/(far + near) for equal ends.
+        uniform = jnp.abs(far - near) < 1e-4 * near
+        change = jnp.where(uniform, near, far - near)
+        compliance = jnp.where(uniform, 2.0 / (far + near), jnp.log(far / near) / change)
+        return self.length / jnp.sum(self.lengths * compliance)
 
     def changed(self, length: Scalar | None = None, EI: Scalar | None = None) -> "RobotPart":
-        """Returns the part with another `length` [m] or another `typical_EI` [N m^2].
+        """Returns the part with another `length` [m] or another `effective_EI` [N m^2].
 
         Lengths and stiffnesses of the pieces keep their ratios.
         """
@@ -68,7 +73,7 @@ class RobotPart(eqx.Module):
             own = self.lengths * (length / self.length) if jnp.ndim(self.lengths) else length
             part = replace(part, lengths=own)
         if EI is not None:
-            part = replace(part, EI=self.EI * (EI / self.typical_EI) if jnp.ndim(self.EI) else EI)
+            part = replace(part, EI=self.EI * (EI / self.effective_EI) if jnp.ndim(self.EI) else EI)
         return part
 
     def cell_mean(self, name: str, near: Float[Array, " cells"], far: Float[Array, " cells"]):

@@ -33,6 +33,7 @@ from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.robot import robot_of
 from slider_jax.experiment.schema import EffectTable, ExperimentTable, ParametersTable, Trial
 from slider_jax.io.csv import read_csv
+from slider_jax.io.files import input_files
 from slider_jax.io.toml import read_toml, validate
 from slider_jax.paper import force_coefficients
 from slider_jax.supports import Clamped
@@ -47,6 +48,11 @@ class Experiment(ExperimentTable):
     def folder(self) -> Path:
         """The folder of the experiment file."""
         return self._folder
+
+    @property
+    def profiles(self) -> list[dict[str, Any]]:
+        """Paths and SHA-256 digests of the profiles of the robot's segments."""
+        return input_files(*(self.folder / name for name in self.robot.files))
 
     def robot_model(self) -> Robot:
         """Returns the robot. Raises `InputError` if the profile of a segment is invalid."""

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax.beam.parameters import Robot, uniform_robot
-from slider_jax.beam.parts import Property, RobotPart
+from slider_jax.beam.parts import RobotPart
 from slider_jax.errors import InputError
 from slider_jax.experiment.schema import (
     PROFILE_COLUMNS,
@@ -20,7 +20,7 @@ from slider_jax.io.toml import quantity_of
 RIGID_FACTOR = 1e4
 """EI and EA of a rigid segment, divided by the largest EI and EA of the flexible segments."""
 RIGID = {"EI": 100.0, "EA": 1e7}
-"""EI [N m^2] and EA [N] of a rigid segment of a robot without flexible segments."""
+"""Smallest EI [N m^2] and EA [N] of a rigid segment."""
 POSITION = "s_m"
 """Column of a profile: the distance [m] from the segment's near end."""
 
@@ -36,23 +36,18 @@ def robot_of(table: RobotTable | SegmentedRobotTable, K_Q: float, folder: Path) 
     if isinstance(table, RobotTable):
         return uniform_robot(**table.model_dump(exclude={"water_density"}), K_Q=K_Q)
     segments = [_pieces(table, x, folder) for x in table.segments]
-    for name, otherwise in RIGID.items():
-        flexible = [
-            p[name].max() for p, x in zip(segments, table.segments, strict=True) if not x.rigid
-        ]
-        stiff = RIGID_FACTOR * max(flexible) if flexible else otherwise
-        for pieces, x in zip(segments, table.segments, strict=True):
+    pairs = list(zip(table.segments, segments, strict=True))
+    for name, least in RIGID.items():
+        flexible = [RIGID_FACTOR * pieces[name].max() for x, pieces in pairs if not x.rigid]
+        for x, pieces in pairs:
             if x.rigid:
-                pieces[name] = np.full((len(pieces["lengths"]), 2), stiff)
-    body, tail = (
-        _part([p for p, x in zip(segments, table.segments, strict=True) if x.part == part])
-        for part in ("body", "tail")
-    )
+                pieces[name] = np.full((len(pieces["lengths"]), 2), max([least, *flexible]))
+    body = _part([pieces for x, pieces in pairs if x.part == "body"])
+    behind = [pieces for x, pieces in pairs if x.part == "tail"]
     masses = table.point_masses
-    assert body is not None
     return Robot(
         body,
-        tail or _no_tail(body),
+        _part(behind) if behind else _no_tail(body),
         table.front_chamber,
         table.rear_chamber,
         K_Q,
@@ -91,7 +86,13 @@ def _pieces(robot: SegmentedRobotTable, segment: SegmentTable, folder: Path) -> 
 
 def _profile(path: Path, segment: SegmentTable) -> dict[str, np.ndarray]:
     """Returns the columns of a segment's profile, checked for range and length."""
-    columns = read_csv(path, (POSITION,), tuple(PROFILE_COLUMNS.values()), "the distance")
+    known = tuple(PROFILE_COLUMNS.values())
+    columns = read_csv(path, (POSITION,), known, "the distance")
+    header = path.read_text(encoding="utf-8-sig").partition("\n")[0].strip().split(",")
+    unknown = [name for name in map(str.strip, header) if name not in (POSITION, *known)]
+    if unknown or len(columns) == 1:
+        given = f"unknown column {unknown[0]}" if unknown else "no property"
+        raise InputError(f"{path}: {given}; allowed columns: {POSITION}, {', '.join(known)}")
     at = columns[POSITION]
     if abs(at[0]) > 1e-6 or abs(at[-1] - segment.length) > 1e-6:
         raise InputError(
@@ -112,22 +113,20 @@ def _profile(path: Path, segment: SegmentTable) -> dict[str, np.ndarray]:
     return columns
 
 
-def _part(segments: list[Pieces]) -> RobotPart | None:
-    """Returns the part that consists of `segments`. A uniform property is one number."""
-    if not segments:
-        return None
+def _part(segments: list[Pieces]) -> RobotPart:
+    """Returns the part that consists of `segments`.
+
+    If the part has one uniform segment, its length and properties are numbers. Models of the same
+    segments thus have the same tree structure, whatever the values are.
+    """
     joined = {name: np.concatenate([x[name] for x in segments]) for name in segments[0]}
 
-    def simplest(name: str) -> Property:
-        values = joined[name]
-        return float(values[0, 0]) if (values == values[0, 0]).all() else jnp.asarray(values)
-
-    lengths = joined["lengths"]
-    properties = {name: simplest(name) for name in PROFILE_COLUMNS}
-    uniform = all(isinstance(x, float) for x in properties.values())
-    return RobotPart(
-        lengths=float(lengths.sum()) if uniform else jnp.asarray(lengths), **properties
-    )
+    lengths = joined.pop("lengths")
+    if len(lengths) == 1 and all((x[0, 0] == x[0, 1]) for x in joined.values()):
+        numbers = {name: float(x[0, 0]) for name, x in joined.items()}
+        return RobotPart(lengths=float(lengths[0]), **numbers)
+    arrays = {name: jnp.asarray(x) for name, x in joined.items()}
+    return RobotPart(lengths=jnp.asarray(lengths), **arrays)
 
 
 def _no_tail(body: RobotPart) -> RobotPart:

@@ -73,6 +73,11 @@ class ChambersTable(Table):
         """Lengths [m] of tail and body."""
         raise NotImplementedError
 
+    @property
+    def files(self) -> list[str]:
+        """Names of the files that the table needs."""
+        return []
+
     @model_validator(mode="after")
     def _chambers_do_not_overlap(self) -> Self:
         _, body = self.lengths
@@ -134,7 +139,7 @@ class SegmentTable(Table):
     EA: Stiffness | None = None
     damping_time: DampingTime | None = None
     height: Height | None = None
-    rigid: bool = False
+    rigid: Annotated[bool, Field(strict=True)] = False
     profile: FileName | None = None
 
 
@@ -163,6 +168,10 @@ class SegmentedRobotTable(ChambersTable):
         )
         return tail, body
 
+    @property
+    def files(self) -> list[str]:
+        return sorted({x.profile for x in self.segments if x.profile is not None})
+
     @field_validator("segments")
     @classmethod
     def _body_is_before_tail(cls, segments: tuple[SegmentTable, ...]) -> tuple[SegmentTable, ...]:
@@ -177,6 +186,9 @@ class SegmentedRobotTable(ChambersTable):
     @model_validator(mode="after")
     def _segments_are_complete(self) -> Self:
         for i, x in enumerate(self.segments):
+            if x.rigid and (x.EI is not None or x.EA is not None):
+                name = "EA" if x.EI is None else "EI"
+                _fail(f"segments.{i}.{name}", "a number", "nothing, because the segment is rigid")
             for name in PROFILE_COLUMNS:
                 given = getattr(x, name) is not None or getattr(self, name) is not None
                 if not given and x.profile is None and not (x.rigid and name in ("EI", "EA")):

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_origin
 
 import tomlkit
 from pydantic import BaseModel, ValidationError
@@ -128,11 +128,10 @@ def _message(table: type[BaseModel], error: Any) -> str:
     if kind == "table":
         return ".".join(part for part in (where, error["msg"]) if part)
     if kind == "missing":
-        kinds = getattr(field, "annotation", None)
-        one, many = kinds is owner, owner in getattr(kinds, "__args__", ())
-        if one or many:
+        if field is not None and tables_in(field):
             needed = [name for name, x in owner.model_fields.items() if x.is_required()]
-            name = f"[{where}]" if one else f"[[{where}]]"
+            many = get_origin(field.annotation) is tuple
+            name = f"[[{where}]]" if many else f"[{where}]"
             return f"{where}: missing; add a table {name} with {', '.join(needed)}"
         unit = f" in {quantity.unit}" if quantity and quantity.unit else ""
         return f"{where}: missing; add a value{unit}"

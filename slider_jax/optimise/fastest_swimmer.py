@@ -10,6 +10,7 @@ import numpy as np
 
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
+from slider_jax.experiment.schema import RobotTable
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import provenance, staged, write_json, write_text
 from slider_jax.optimise.design_space import (
@@ -68,11 +69,16 @@ class Task(NamedTuple):
                 f"trials.0.waveform: given {trial.waveform!r}; allowed 'square', the waveform of "
                 "the optimised drive; the other trials are not used"
             )
+        if not isinstance(experiment.robot, RobotTable):
+            raise InputError(
+                "robot.segments: given a robot of segments; allowed a uniform body and tail, "
+                "because the optimised tail is uniform; give body_length, EI_body and so on"
+            )
         nodes = min(MESH, experiment.numerics.nodes)
         numerics, scheme = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
         search = SteadySettings(steps_per_stride=steps_per_stride, numerics=numerics, scheme=scheme)
         box = gait_bounds(bounds)
-        stiffest = STIFFEST * float(experiment.robot_model().body.typical_EI)
+        stiffest = STIFFEST * float(experiment.robot_model().body.effective_EI)
         if box.high[-1] > stiffest:
             raise InputError.value(
                 "--EI-tail",
@@ -90,6 +96,7 @@ class Task(NamedTuple):
         search = self.search._asdict()
         return {
             "experiment": self.experiment.model_dump(),
+            **({"profiles": found} if (found := self.experiment.profiles) else {}),
             "bounds": dict(zip(Gait._fields, bounds, strict=True)),
             "steps_per_stride": self.search.steps_per_stride,
             "nodes": self.search.numerics.nodes,

@@ -58,7 +58,7 @@ class Plant:
         if not 1e-4 <= step <= 1e-2:
             raise InputError.value("step of the plant", step, "1e-4 to 1e-2 s")
         self.step = step
-        self.faults = no_faults(float(experiment.robot_model().tail.typical_EI))
+        self.faults = no_faults(float(experiment.robot_model().tail.effective_EI))
         self._faults = jax.device_put(self.faults)
         self._experiment = experiment
         self._numerics, self._scheme = to_numerics(experiment)

@@ -81,6 +81,7 @@ class Sweep(NamedTuple):
         """Returns everything that the result depends on, as JSON types."""
         content = {
             "experiment": self.experiment.model_dump(),
+            **({"profiles": found} if (found := self.experiment.profiles) else {}),
             "fields": {axis.field: axis.values for axis in self.axes},
             "trial": self.trial,
             "strides": self.strides,

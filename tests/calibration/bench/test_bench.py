@@ -282,6 +282,35 @@ def test_the_command_writes_the_identified_parameters(exact, tmp_path, monkeypat
     assert "EI_body" in capsys.readouterr().out
 
 
+class Stopped(Exception):
+    """Ends a command."""
+
+
+def test_the_ring_down_starts_from_the_identified_stiffnesses(exact, tmp_path, monkeypatch):
+    robots = []
+
+    def stop(bench, robot):
+        robots.append(robot)
+        raise Stopped
+
+    monkeypatch.setattr(statics.fit_shapes, "__defaults__", (MESH,))
+    monkeypatch.setattr("calibration.bench.ring_down.fit_ring_down", stop)
+    path = write_bench(tmp_path, exact)
+    path.write_text(BENCH + '\n[[ring_down]]\nfile = "ring.csv"\n')
+    t = np.arange(0.0, 8.0, 0.005)
+    tip = 0.02 * np.exp(-0.5 * t) * np.cos(6.0 * t)
+    rows = "".join(f"{a:.3f},{b:.6f}\n" for a, b in zip(t, tip, strict=True))
+    (tmp_path / "ring.csv").write_text(f"t_s,tip_m\n{rows}")
+    with pytest.raises(Stopped):
+        main(["calibrate", "statics", str(path), "--out", str(tmp_path / "out")])
+    (robot,) = robots
+    for found, given, name in (
+        (robot.body.EI, 0.038, "EI_body"),
+        (robot.tail.EI, 0.0058, "EI_tail"),
+    ):
+        assert abs(found - TRUTH[name]) < abs(given - TRUTH[name])
+
+
 @pytest.mark.parametrize(
     ("file", "rows", "text"),
     [

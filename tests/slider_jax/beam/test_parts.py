@@ -69,7 +69,7 @@ def test_at_a_jump_a_node_has_the_mean_of_both_values():
 @pytest.mark.parametrize("cells", [33, 66])
 @pytest.mark.parametrize("a", [0.111, 0.2, 0.2873])
 def test_a_rod_of_two_stiffnesses_bends_as_beam_theory_says(a, cells):
-    """The tip's displacement under F is F/3 (((L^3 - (L - a)^3)/EI_1 + (L - a)^3/EI_2)."""
+    """The tip's displacement under F is F/3 ((L^3 - (L - a)^3)/EI_1 + (L - a)^3/EI_2)."""
     first, second = 0.08, 0.02
     model = rod([a, 0.32 - a], EI=[[first, first], [second, second]])
     exact = FORCE / 3.0 * ((L**3 - (L - a) ** 3) / first + (L - a) ** 3 / second)
@@ -88,14 +88,20 @@ def test_a_tapered_rod_bends_as_beam_theory_says():
     assert tip_under(model) == pytest.approx(exact, rel=1e-3)
 
 
+def test_the_effective_stiffness_of_a_taper_is_the_mean_compliance():
+    x = part([0.1, 0.3], EI=[[4.0, 1.0], [2.0, 2.0]])
+    compliance = (0.1 * np.log(4.0) / 3.0 + 0.3 / 2.0) / 0.4
+    assert float(x.effective_EI) == pytest.approx(1.0 / compliance, rel=1e-12)
+
+
 def test_another_length_or_stiffness_keeps_the_ratios():
     x = part([0.1, 0.3], EI=[[1.0, 2.0], [4.0, 4.0]])
     y = x.changed(length=0.2, EI=0.5)
-    assert float(y.length) == pytest.approx(0.2) and float(y.typical_EI) == pytest.approx(0.5)
+    assert float(y.length) == pytest.approx(0.2) and float(y.effective_EI) == pytest.approx(0.5)
     np.testing.assert_allclose(y.lengths / x.lengths, 0.5)
     assert np.ptp(np.asarray(y.EI / x.EI)) < 1e-12
     z = part(0.4, EI=1.0).changed(EI=0.5)
-    assert (z.length, z.typical_EI, z.lengths) == (0.4, 0.5, 0.4)
+    assert (z.length, z.effective_EI, z.lengths) == (0.4, 0.5, 0.4)
 
 
 def test_a_point_mass_keeps_mass_and_moment():

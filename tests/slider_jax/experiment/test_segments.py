@@ -9,7 +9,7 @@ from slider_jax.beam.parameters import Numerics
 from slider_jax.dynamics.statics import Loads, at_rest_under
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
-from slider_jax.experiment.robot import RIGID_FACTOR
+from slider_jax.experiment.robot import RIGID, RIGID_FACTOR
 from slider_jax.simulation.trial import simulate_trial
 from tests.support.experiments import SMALL, write_small_experiment
 
@@ -38,18 +38,26 @@ def thrust_of(path):
 
 @pytest.mark.parametrize("count", [1, 2, 5, 20])
 def test_a_body_in_equal_segments_is_the_uniform_body(tmp_path, count):
-    uniform = to_model(load(write_small_experiment(tmp_path)))
-    cut = to_model(load(with_segments(tmp_path, count * segment(0.3 / count, 0.038) + TAIL)))
-    assert jax.tree.structure(cut) == jax.tree.structure(uniform)
-    for x, y in zip(jax.tree.leaves(cut), jax.tree.leaves(uniform), strict=True):
-        np.testing.assert_allclose(x, y, rtol=1e-15)
+    uniform = thrust_of(write_small_experiment(tmp_path))
+    cut = with_segments(tmp_path, count * segment(0.3 / count, 0.038) + TAIL)
+    assert to_model(load(cut)).robot.body.lengths.shape == ((count,) if count > 1 else ())
+    np.testing.assert_allclose(thrust_of(cut), uniform, rtol=1e-8, atol=1e-12)
+
+
+def test_models_of_the_same_segments_have_the_same_structure(tmp_path):
+    """A sweep stacks the models of its points, also if two segments are equal at one point."""
+    models = [
+        to_model(load(with_segments(tmp_path, segment(0.2, 0.038) + segment(0.1, EI) + TAIL)))
+        for EI in (0.02, 0.038)
+    ]
+    shapes = [jax.tree.map(jnp.shape, x) for x in models]
+    assert shapes[0] == shapes[1]
 
 
 def test_a_constant_profile_gives_the_thrust_of_the_uniform_robot(tmp_path):
-    """One knot of the profile differs by a billionth, so the profile is not simplified."""
     uniform = thrust_of(write_small_experiment(tmp_path))
-    rows = [(0.0, 0.038), (0.11, 0.038 * (1.0 + 1e-12)), (0.3, 0.038)]
-    text = "s_m,EI_N_m2\n" + "".join(f"{s},{EI:.15g}\n" for s, EI in rows)
+    rows = [(0.0, 0.038), (0.11, 0.038), (0.3, 0.038)]
+    text = "s_m,EI_N_m2\n" + "".join(f"{s},{EI}\n" for s, EI in rows)
     (tmp_path / "body.csv").write_text(text)
     segments = '[[robot.segments]]\nlength = 0.3\nprofile = "body.csv"\n' + TAIL
     path = with_segments(tmp_path, segments)
@@ -62,6 +70,8 @@ def test_a_rigid_segment_has_a_large_stiffness(tmp_path):
     path = with_segments(tmp_path, stiff + segment(0.25, 0.038) + TAIL)
     body = to_model(load(path)).robot.body
     np.testing.assert_allclose(body.EI[:, 0], [RIGID_FACTOR * 0.038, 0.038])
+    soft = to_model(load(with_segments(tmp_path, stiff + segment(0.25, 1e-5) + TAIL))).robot.body
+    np.testing.assert_allclose(soft.EI[:, 0], [RIGID["EI"], 1e-5])
     np.testing.assert_allclose(body.lengths, [0.05, 0.25])
 
 
@@ -137,6 +147,16 @@ CASES = {
         COMMON,
         "robot.point_masses.0.s: given 0.4; allowed 0 to 0.37 m",
     ),
+    "stiffness of a rigid segment": (
+        segment(0.3, 0.5, more="rigid = true") + TAIL,
+        COMMON,
+        "robot.segments.0.EI: given a number; allowed nothing, because the segment is rigid",
+    ),
+    "number for a boolean": (
+        "[[robot.segments]]\nlength = 0.3\nrigid = 1\n",
+        COMMON,
+        "robot.segments.0.rigid: given 1; input should be a valid boolean",
+    ),
     "NaN": (segment("nan", 0.038), COMMON, "robot.segments.0.length: given nan"),
 }
 
@@ -155,6 +175,11 @@ PROFILES = {
     "backwards": ("s_m,EI_N_m2\n0,0.03\n0.3,0.03\n0.2,0.03\n", "the distance must increase"),
     "NaN": ("s_m,EI_N_m2\n0,0.03\n0.2,\n0.3,0.03\n", "line 3, column EI_N_m2: given nan"),
     "wrong unit": ("s_m,EI_N_m2\n0,3e4\n0.3,3e4\n", "column EI_N_m2: given 30000; allowed 1e-06"),
+    "misspelt column": (
+        "s_m,EI_Nm2\n0,0.03\n0.3,0.03\n",
+        "unknown column EI_Nm2; allowed columns: s_m, linear_density_kg_per_m, EI_N_m2",
+    ),
+    "no property": ("s_m\n0\n0.3\n", "no property; allowed columns: s_m"),
     "no column": ("s_m,height_m\n0,0.03\n0.3,0.03\n", "no column EI_N_m2; add this column"),
     "column and number": (
         "s_m,EI_N_m2,linear_density_kg_per_m\n0,0.03,0.7\n0.3,0.03,0.7\n",
@@ -172,6 +197,13 @@ def test_an_invalid_profile_is_named(tmp_path, name):
     with pytest.raises(InputError) as error:
         to_model(load(with_segments(tmp_path, segments)))
     assert "body.csv" in str(error.value) and message in str(error.value)
+
+
+def test_an_experiment_without_robot_names_the_keys(tmp_path):
+    text = SMALL[: SMALL.index("[robot]")] + SMALL[SMALL.index("[parameters]") :]
+    (tmp_path / "e.toml").write_text(text)
+    with pytest.raises(InputError, match=r"robot: missing; add a table \[robot\] with .*EI_body"):
+        load(tmp_path / "e.toml")
 
 
 def test_a_missing_profile_is_named(tmp_path):
