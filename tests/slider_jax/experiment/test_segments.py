@@ -11,6 +11,7 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
 from slider_jax.experiment.robot import RIGID, RIGID_FACTOR
 from slider_jax.simulation.trial import simulate_trial
+from slider_jax.sweep.sweep import Axis, Sweep
 from tests.support.experiments import SMALL, write_small_experiment
 
 KEYS = SMALL[SMALL.index("body_length") : SMALL.index("front_chamber")]
@@ -204,6 +205,17 @@ def test_an_experiment_without_robot_names_the_keys(tmp_path):
     (tmp_path / "e.toml").write_text(text)
     with pytest.raises(InputError, match=r"robot: missing; add a table \[robot\] with .*EI_body"):
         load(tmp_path / "e.toml")
+
+
+def test_a_changed_profile_is_another_input_of_a_sweep(tmp_path):
+    """Otherwise, a sweep would resume with results of the earlier profile."""
+    segments = f'[[robot.segments]]\nlength = 0.3\nprofile = "body.csv"\n{TAIL}'
+    path, settings = with_segments(tmp_path, segments), []
+    for EI in (0.03, 0.04):
+        (tmp_path / "body.csv").write_text(f"s_m,EI_N_m2\n0,{EI}\n0.3,{EI}\n")
+        axis = Axis("trials.0.frequency", (2.0, 3.0))
+        settings.append(Sweep(load(path), (axis,)).settings())
+    assert settings[0]["profiles"] != settings[1]["profiles"]
 
 
 def test_a_missing_profile_is_named(tmp_path):
