@@ -662,9 +662,8 @@ def test_a_card_with_five_inputs_is_refused(monkeypatch):
     assert card.closed
 
 
-@pytest.mark.parametrize("late_us", [0, 79, 921])
-def test_a_simulated_record_waits_only_for_its_own_step(late_us):
-    """The tank's steps begin at the first tick, at any time."""
+def microseconds_after_a_step(late_us):
+    """Time from a step of the tank to the end of a wait for it, in us."""
     device, start = HostClockedRig(SimulatedRig(BenchTank())), time.monotonic_ns()
 
     def tick():
@@ -678,5 +677,13 @@ def test_a_simulated_record_waits_only_for_its_own_step(late_us):
     due = device.on_step(time.monotonic() + 0.01)
     while time.monotonic() < due + 1e-4:
         tick()
-    behind_us = device.rig.reached_us - (1e6 * due - 1e-3 * start)
-    assert 0.0 <= behind_us % STEP < 50.0
+    return (device.rig.reached_us - (1e6 * due - 1e-3 * start)) % STEP
+
+
+@pytest.mark.parametrize("late_us", [0, 79, 921])
+def test_a_simulated_record_waits_only_for_its_own_step(late_us):
+    """The tank's steps begin at the first tick, at any time.
+
+    Other programs can delay one attempt. A wrong wait would fail in all four.
+    """
+    assert any(microseconds_after_a_step(late_us) < 50.0 for _ in range(4))
