@@ -14,6 +14,7 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Readings, parameter, shape_parameter
 
 WHY_FACTOR = "20 times the unit of a term is more than any known law adds"
+WHY_FREQUENCY = "usual sample rates resolve these"
 WHY_DRIFT = "no property of a robot changes by more than its typical value during a trial"
 MEMORY_TIMES = (0.03, 0.3, 3.0)
 """Time constants [s] of a memory: from the fastest strides to a whole trial."""

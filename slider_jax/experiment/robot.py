@@ -120,7 +120,6 @@ def _part(segments: list[Pieces]) -> RobotPart:
     segments thus have the same tree structure, whatever the values are.
     """
     joined = {name: np.concatenate([x[name] for x in segments]) for name in segments[0]}
-
     lengths = joined.pop("lengths")
     if len(lengths) == 1 and all((x[0, 0] == x[0, 1]) for x in joined.values()):
         numbers = {name: float(x[0, 0]) for name, x in joined.items()}

@@ -202,7 +202,7 @@ class SegmentedRobotTable(ChambersTable):
 
 
 def _tag_of_robot(table: Any) -> str:
-    """Returns the tag of the table that describes a robot. Other values are no table at all."""
+    """Returns the tag of the table that describes a robot."""
     names = table if isinstance(table, dict) else getattr(type(table), "model_fields", ())
     return (SegmentedRobotTable if "segments" in names else RobotTable).tag()
 

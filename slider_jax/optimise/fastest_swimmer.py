@@ -78,7 +78,7 @@ class Task(NamedTuple):
         numerics, scheme = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
         search = SteadySettings(steps_per_stride=steps_per_stride, numerics=numerics, scheme=scheme)
         box = gait_bounds(bounds)
-        stiffest = STIFFEST * float(experiment.robot_model().body.effective_EI)
+        stiffest = STIFFEST * experiment.robot.EI_body
         if box.high[-1] > stiffest:
             raise InputError.value(
                 "--EI-tail",
@@ -96,7 +96,6 @@ class Task(NamedTuple):
         search = self.search._asdict()
         return {
             "experiment": self.experiment.model_dump(),
-            **({"profiles": found} if (found := self.experiment.profiles) else {}),
             "bounds": dict(zip(Gait._fields, bounds, strict=True)),
             "steps_per_stride": self.search.steps_per_stride,
             "nodes": self.search.numerics.nodes,

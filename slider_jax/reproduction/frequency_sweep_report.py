@@ -20,7 +20,7 @@ ASSUMED = {
     " and delays the rear chamber by 0.05 of a stride. These values were chosen to match the mean "
     "thrust at 4.8 Hz and its minimum near 1 Hz, so these two results do not test the model",
     "damping_time": "2 ms; with the paper's 5e-6 s, vibrations at 30-100 Hz are undamped",
-    "EA_body, EA_tail": "100 kN; not given in the paper; strains are below 1e-3",
+    "EA": "100 kN in body and tail; not given in the paper; strains are below 1e-3",
     "C_d, m_a": "C_d = 4, m_a = 0 below 2 Hz; C_d = 3, m_a = 1 above 3 Hz; linear in between",
 }
 """Assumed values of the demo, with reasons."""

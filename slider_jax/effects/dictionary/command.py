@@ -12,6 +12,7 @@ from slider_jax.effects.base import Chamber, Command, Curve, parameter, shape_pa
 from slider_jax.effects.dictionary.flow import WHY_SCALE
 from slider_jax.effects.functions import (
     WHY_FACTOR,
+    WHY_FREQUENCY,
     Basis,
     Powers,
     RigDrift,
@@ -29,7 +30,6 @@ GAIN = 0.1
 OSCILLATION = 100e3
 """Pressure [Pa] that one unit of a sine's parameters adds."""
 WHY_GAIN = "a supply with a larger pulsation drives no robot"
-WHY_FREQUENCY = "usual sample rates resolve these"
 PRESSURE = 20e3
 """Pressure [Pa] that one unit of a term's parameters adds: a tenth of a typical pressure."""
 ITERATIONS = 5
@@ -124,20 +124,20 @@ class SetPressureDelayOfEdges(Command):
 
 
 class Varying(Waveform):
-    """(1 + g(t)) `wave` + q(t), with a gain error g and a pressure q [Pa] that change with time.
+    """`wave` plus a pressure that depends on the time and on the set pressure.
 
     If `wave` is piecewise constant, the error of a segment is of second order in the step.
     """
 
     wave: Waveform
-    change: Callable[[Array], tuple[Array, Array]]
-    """Returns g and q at a time [s]. It must be a pytree, such as a method of an effect."""
+    change: Callable[[Array, Array], Array]
+    """Returns the additional pressure [Pa] at a time [s] and set pressure [Pa]. It must be a
+    pytree, such as a method of an effect."""
 
     def segment(self, t0, t1):
         x = self.wave.segment(t0, t1)
-        times = x.t0, x.t_break, x.t_break, x.t1
-        changes, ends = map(self.change, times), (x.a0, x.a1, x.b0, x.b1)
-        changed = ((1.0 + g) * p + q for (g, q), p in zip(changes, ends, strict=True))
+        times, ends = (x.t0, x.t_break, x.t_break, x.t1), (x.a0, x.a1, x.b0, x.b1)
+        changed = (p + self.change(t, p) for t, p in zip(times, ends, strict=True))
         return Segment(x.t0, x.t_break, x.t1, *changed)
 
 
@@ -147,9 +147,9 @@ class SetPressureGainDrift(RigDrift, Command):
     title = "gain of the set pressure that drifts during a trial"
     term_curve = Curve("time t", "s", "change of the gain divided by 0.1", "-")
 
-    def change(self, t: Array) -> tuple[Array, Array]:
-        """Returns the gain error, and no additional pressure, at the time t."""
-        return GAIN * self.at(t), jnp.zeros_like(t)
+    def change(self, t: Array, p_set: Array) -> Array:
+        """Returns the additional pressure [Pa] at the time t."""
+        return GAIN * self.at(t) * p_set
 
     def command(self, wave, chamber):
         return Varying(wave, self.change)
@@ -161,7 +161,7 @@ class RearSetPressureGainDrift(RearCommand, SetPressureGainDrift):
     title = "gain of the rear chamber's set pressure that drifts during a trial"
 
 
-class SineTerm(Sine, Command):
+class SetPressureSineTerm(Sine, Command):
     """The set pressure at the valves contains a sine."""
 
     a: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY_GAIN)
@@ -172,14 +172,14 @@ class SineTerm(Sine, Command):
     """f, frequency of the most significant sine in the residual."""
 
     @abstractmethod
-    def change(self, t: Array) -> tuple[Array, Array]:
-        """Returns the gain error and the additional pressure [Pa] at the time t."""
+    def change(self, t: Array, p_set: Array) -> Array:
+        """Returns the additional pressure [Pa] at the time t."""
 
     def command(self, wave, chamber):
         return Varying(wave, self.change)
 
 
-class SetPressureGainSine(SineTerm):
+class SetPressureGainSine(SetPressureSineTerm):
     """p_set,valve = p_set (1 + a sin(2 pi f t) + b cos(2 pi f t)), with the frequency f.
 
     The pulsation of a compressor or of a supply has this form.
@@ -189,11 +189,11 @@ class SetPressureGainSine(SineTerm):
     term_curve = Curve("phase, the fraction of f t", "-", "change of the gain", "-")
     of_gain = True
 
-    def change(self, t):
-        return self.at(t), jnp.zeros_like(t)
+    def change(self, t, p_set):
+        return self.at(t) * p_set
 
 
-class SetPressureSine(SineTerm):
+class SetPressureSine(SetPressureSineTerm):
     """p_set,valve = p_set + P (a sin(2 pi f t) + b cos(2 pi f t)), with P = 100 kPa.
 
     The oscillation of a regulator has this form.
@@ -202,8 +202,8 @@ class SetPressureSine(SineTerm):
     title = "a sine in the set pressure"
     term_curve = Curve("phase, the fraction of f t", "-", "change of p_set divided by 100 kPa", "-")
 
-    def change(self, t):
-        return jnp.zeros_like(t), OSCILLATION * self.at(t)
+    def change(self, t, p_set):
+        return OSCILLATION * self.at(t)
 
 
 class SetPressureTerm(Powers, Command):

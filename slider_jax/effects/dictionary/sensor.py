@@ -11,6 +11,7 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, Instrument, Readings, parameter, shape_parameter
 from slider_jax.effects.functions import (
     MEMORY_TIMES,
+    WHY_FREQUENCY,
     Basis,
     Drift,
     Powers,
@@ -347,7 +348,7 @@ class SensorSine(Sine, SensorTerm):
     """a, amplitude of the sine."""
     b: Scalar = parameter(0.0, -1.0, 1.0, "-", WHY)
     """b, amplitude of the cosine."""
-    frequency: Scalar = shape_parameter(10.0, 0.1, 500.0, "Hz", "usual sample rates resolve these")
+    frequency: Scalar = shape_parameter(10.0, 0.1, 500.0, "Hz", WHY_FREQUENCY)
     """f, frequency of the most significant sine in the residual."""
 
     def change(self, z, true):

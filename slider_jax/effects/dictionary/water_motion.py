@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Curve, WaterMotion, parameter, shape_parameter
-from slider_jax.effects.functions import RigDrift, Sine
+from slider_jax.effects.functions import WHY_FREQUENCY, RigDrift, Sine
 
 DRIFT = 0.05
 """Velocity [m/s] that one unit of a drift's parameters adds."""
@@ -18,7 +18,7 @@ class WaterSine(Sine, WaterMotion):
     """a, amplitude of the sine."""
     b: Scalar = parameter(0.0, -0.5, 0.5, "m/s", WHY)
     """b, amplitude of the cosine."""
-    frequency: Scalar = shape_parameter(2.0, 0.1, 500.0, "Hz", "usual sample rates resolve these")
+    frequency: Scalar = shape_parameter(2.0, 0.1, 500.0, "Hz", WHY_FREQUENCY)
     """f, frequency of the most significant sine in the residual."""
 
 
