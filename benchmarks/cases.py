@@ -36,7 +36,7 @@ SHEET = {"EI_tail": 2.9e9 * 0.03 * 0.93e-3**3 / 12, "EA_tail": 2.9e9 * 0.03 * 0.
 
 def model(amplitude=250e3, **robot) -> Model:
     """Returns a robot that is clamped in still water and driven by a square wave of 4.8 Hz."""
-    drive = Drive(SquareWave(FREQUENCY, amplitude), SquareWave(FREQUENCY, 0.9 * amplitude, 0.15))
+    drive = Drive((SquareWave(FREQUENCY, amplitude), SquareWave(FREQUENCY, 0.9 * amplitude, 0.15)))
     body = uniform_robot(**({"body_length": 0.3, "tail_length": 0.07} | robot))
     whole = Model(
         body, (NormalDrag(3.0), ReactiveForce(1.0)), FirstOrderLag(0.087), drive, Clamped()
@@ -62,7 +62,7 @@ def run(model: Model, nodes=NODES, steps=STEPS, strides=STRIDES):
 
 def with_amplitude(model: Model, amplitude) -> Model:
     """Returns the robot with the given amplitude of the set pressure [Pa]."""
-    where = lambda m: (m.drive.front.amplitude, m.drive.rear.amplitude)  # noqa: E731
+    where = lambda m: tuple(wave.amplitude for wave in m.drive.waves)  # noqa: E731
     return eqx.tree_at(where, model, (amplitude, 0.9 * amplitude))
 
 

@@ -53,8 +53,10 @@ model = sj.Model(
     effects=(drag, reactive),
     pressure_law=sj.FirstOrderLag(k=0.087),
     drive=sj.Drive(
-        front=sj.SquareWave(frequency, amplitude=260e3),
-        rear=sj.SquareWave(frequency, amplitude=260e3, phase=0.05),
+        waves=(
+            sj.SquareWave(frequency, amplitude=260e3),
+            sj.SquareWave(frequency, amplitude=260e3, phase=0.05),
+        )
     ),
     support=sj.Clamped(),
 )

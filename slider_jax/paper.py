@@ -77,6 +77,6 @@ def head_fixed(
         robot=robot,
         effects=(NormalDrag(C_d), ReactiveForce(m_a)),
         pressure_law=FirstOrderLag(PRESSURE_LAG),
-        drive=Drive(front, rear),
+        drive=Drive((front, rear)),
         support=Clamped(),
     )

@@ -113,7 +113,7 @@ class ShapeFit(NamedTuple):
 def undriven_robot(robot: Robot) -> Model:
     """Returns the model of a clamped robot in air without drive."""
     still = SineWave(1.0, 0.0)
-    return Model(robot, (), Ideal(), Drive(still, still), Clamped())
+    return Model(robot, (), Ideal(), Drive((still,) * len(robot.chambers)), Clamped())
 
 
 def tail_alone(robot: Robot) -> Robot:

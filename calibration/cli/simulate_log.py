@@ -94,13 +94,16 @@ def drive_robot(
     if drive == "measured":  # with lag 0, both values of `drive` share one compiled program
         base = replace(base, pressure_law=FirstOrderLag(jnp.asarray(0.0, float)))
     start = jnp.asarray(log.pressure_Pa[0])
-    base = replace(base, drive=replace(base.drive, start_front=start, start_rear=start))
+    base = replace(base, drive=replace(base.drive, start=start))
     save = SavedSeries(prepared.channels)
 
     def advance(first: int, carry: Carry):
         span = slice(first, first + CHUNK + 1)
         wave = Recorded(jnp.asarray(at[span]), jnp.asarray(set_point[span]))
-        model, t0 = replace(base, drive=Drive(wave, wave)), jnp.asarray(at[first])
+        model, t0 = (
+            replace(base, drive=Drive((wave,) * len(base.drive.waves))),
+            jnp.asarray(at[first]),
+        )
         saved, carry = advance_chunk(
             model, jnp.asarray(h), t0, carry, save, numerics, prepared.scheme, CHUNK * every
         )

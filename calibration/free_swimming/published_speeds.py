@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from slider_jax import paper
-from slider_jax.actuation import FirstOrderLag, SquareWave
+from slider_jax.actuation import FirstOrderLag
 from slider_jax.beam.parameters import uniform_robot
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.rollout import rollout
@@ -30,7 +30,7 @@ from slider_jax.effects.water.head_drag import HeadDrag
 from slider_jax.effects.water.tangential_friction import TangentialFriction
 from slider_jax.errors import SolverError
 from slider_jax.supports import Free
-from slider_jax.swimming.gait import Gait
+from slider_jax.swimming.gait import Gait, gait_waves
 from slider_jax.swimming.paper_optimum import MEASURED_SPEED, PAPER_GAIT, PUBLISHED
 from slider_jax.swimming.steady_state import (
     Steady,
@@ -99,8 +99,9 @@ def paper_swimmer(
     """
     C_d, m_a = paper.force_coefficients(gait.frequency)
     coefficients = {name: coefficient if name == resisting else 0.0 for name in RESISTIVE_EFFECTS}
+    robot = uniform_robot(tail_length=gait.tail_length, EI_tail=gait.EI_tail)
     model = Model(
-        robot=uniform_robot(tail_length=gait.tail_length, EI_tail=gait.EI_tail),
+        robot=robot,
         effects=(
             NormalDrag(C_d),
             ReactiveForce(m_a),
@@ -108,10 +109,7 @@ def paper_swimmer(
             *(effect(coefficients[name]) for name, effect in RESISTIVE_EFFECTS.items()),
         ),
         pressure_law=FirstOrderLag(paper.PRESSURE_LAG),
-        drive=Drive(
-            SquareWave(gait.frequency, gait.front),
-            SquareWave(gait.frequency, gait.rear, gait.phase),
-        ),
+        drive=Drive(gait_waves(gait, len(robot.chambers))),
         support=Free(),
     )
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)

@@ -10,10 +10,11 @@ import numpy as np
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import TankProblem
 from calibration.model.plan import BLOCK, TrialPlan
+from slider_jax.actuation import rear_of
 from slider_jax.beam.equations import Section
 from slider_jax.channels import BUILT_IN, row_of
 from slider_jax.dynamics.model import Model
-from slider_jax.dynamics.pressures import REAR, chamber_history, set_pressures, start_chambers
+from slider_jax.dynamics.pressures import chamber_history, set_pressures, start_chambers
 from slider_jax.dynamics.step import Snapshot, at_rest
 from slider_jax.effects import Chamber, Readings
 from slider_jax.effects.dictionary.flow import FlowOfLaggedDifference
@@ -48,7 +49,9 @@ def visited_states(
     """
     t = jnp.asarray(plan.grid.times)
     p, p_set = chamber_history(model, start_chambers(model), t).p, set_pressures(model, t).b1
-    chamber = Chamber(p, p_set, jnp.ones(()), REAR, jnp.sign(p), jnp.zeros((0, *p.shape)))
+    chamber = Chamber(
+        p, p_set, jnp.ones(()), rear_of(p.shape[-1]), jnp.sign(p), jnp.zeros((0, *p.shape))
+    )
     rows = [jnp.asarray(readings[row_of(name)]) for name in BUILT_IN]
     read, found = Readings(jnp.asarray(plan.at), *rows), {}
     local = any(x.place() not in (*OF_CHAMBERS, *OF_READINGS) for x in terms.values())

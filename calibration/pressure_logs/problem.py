@@ -220,7 +220,7 @@ def _read(extended: ExtendedModel, theta, drive: LogDrive):
 
     def one(at, command, start):
         wave = Recorded(at, command)
-        driven = replace(model, drive=Drive(wave, wave, start, start))
+        driven = replace(model, drive=Drive((wave,) * len(model.drive.waves), start))
         return recorded_pressures(driven, at)[0]
 
     return jax.vmap(one)(drive.at, drive.command, drive.start)

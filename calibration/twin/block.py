@@ -127,10 +127,11 @@ class BlockLayout:
 def live_model(experiment: Experiment, trial: Trial) -> Model:
     """Returns a trial's model with the experiment's k and zero drive. Each block sets the drive."""
     wave = Recorded(jnp.zeros(2), jnp.zeros(2))
+    model = to_model(experiment, trial)
     return replace(
-        to_model(experiment, trial),
+        model,
         pressure_law=FirstOrderLag(jnp.asarray(experiment.parameters.k)),
-        drive=Drive(wave, wave, jnp.zeros(()), jnp.zeros(())),
+        drive=Drive((wave,) * len(model.drive.waves), jnp.zeros(())),
     )
 
 
@@ -202,12 +203,12 @@ def _block(
     at = t0 + layout.period * jnp.arange(layout.samples + 1.0)
     # A chamber fills in many sample periods, so the mean set pressure of a period is sufficient.
     since = t0 + layout.period * jnp.arange(-HISTORY - 1.0, float(layout.samples))
-    front, rear = (Held(since, x) for x in set_pressure)
+    waves = tuple(Held(since, x) for x in set_pressure)
     lag = FirstOrderLag(values[0])
     state, p, dp, sensed, faulty = _pressures(
-        layout, replace(model, drive=Drive(front, rear), pressure_law=lag), state, at, measured
+        layout, replace(model, drive=Drive(waves), pressure_law=lag), state, at, measured
     )
-    as_read = Drive(Recorded(at, sensed[:, 0]), Recorded(at, sensed[:, 1]))
+    as_read = Drive(tuple(Recorded(at, x) for x in sensed.T))
     state, body, d_body = _body(layout, replace(model, drive=as_read), state, t0)
     true = jnp.concatenate([p, body], axis=1)
     d_true = jnp.concatenate(

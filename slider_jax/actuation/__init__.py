@@ -2,7 +2,16 @@
 
 from slider_jax.actuation.moment import chamber_windows
 from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw
-from slider_jax.actuation.waveform import Held, Recorded, SineWave, SquareWave, Trapezoid, Waveform
+from slider_jax.actuation.waveform import (
+    Held,
+    Recorded,
+    SineWave,
+    SquareWave,
+    Trapezoid,
+    Waveform,
+    rear_of,
+    waves_along,
+)
 
 __all__ = [
     "FirstOrderLag",
@@ -15,4 +24,6 @@ __all__ = [
     "Trapezoid",
     "Waveform",
     "chamber_windows",
+    "rear_of",
+    "waves_along",
 ]

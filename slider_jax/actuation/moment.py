@@ -1,5 +1,6 @@
 """Computes the moment of a chamber: a couple at each end, regularised by Peskin's delta."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -40,11 +41,11 @@ def spread(position: Scalar, grid: Grid) -> Float[Array, " nodes"]:
     return jnp.where(fits, peskin_delta(index - xi), linear)
 
 
-def chamber_windows(robot: Robot, grid: Grid) -> Float[Array, "2 cells"]:
-    """Returns the moment of the front and rear chamber in each cell, as a fraction of K_Q p.
+def chamber_windows(robot: Robot, grid: Grid) -> Float[Array, "chambers cells"]:
+    """Returns the moment of each chamber in each cell, as a fraction of K_Q p.
 
     In the paper, each chamber exerts two opposite couples K_Q p at its ends. The active moment is
-    therefore M_act = K_Q (window_front p_front + window_rear p_rear).
+    therefore the sum of K_Q p times the window of each chamber.
     """
 
     def window(span):
@@ -52,4 +53,4 @@ def chamber_windows(robot: Robot, grid: Grid) -> Float[Array, "2 cells"]:
         couples = spread(robot.length - far, grid) - spread(robot.length - near, grid)
         return jnp.cumsum(couples)[:-1]
 
-    return jnp.stack([window(robot.front_chamber), window(robot.rear_chamber)])
+    return jax.vmap(window)(jnp.asarray(robot.chambers))

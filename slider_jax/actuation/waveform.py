@@ -6,9 +6,33 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.beam.parameters import Scalar
+
+
+def rear_of(chambers: int) -> np.ndarray:
+    """Returns the order (chambers,) of the chambers: 0 is the first, and 1 the last chamber.
+
+    The numbers between are evenly spaced. A single chamber has the number 0.
+    """
+    return np.arange(chambers) / max(chambers - 1, 1)
+
+
+def waves_along(
+    wave: Callable[[Scalar, Scalar], "Waveform"],
+    chambers: int,
+    first: Scalar,
+    last: Scalar,
+    phase: Scalar,
+) -> tuple["Waveform", ...]:
+    """Returns `wave(amplitude, phase)` for each chamber.
+
+    From the first chamber to the last, the amplitude [Pa] changes linearly from `first` to `last`,
+    and the phase changes linearly from 0 to `phase`.
+    """
+    return tuple(wave((1.0 - r) * first + r * last, r * phase) for r in rear_of(chambers))
 
 
 class Segment(eqx.Module):

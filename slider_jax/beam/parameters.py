@@ -19,22 +19,21 @@ G = 9.81
 
 
 class Robot(eqx.Module):
-    """Geometry and structure of the robot. Chamber positions are distances from the head.
+    """Geometry and structure of the robot.
 
     | field | unit | meaning |
     |---|---|---|
     | `body` | | actuated part, from the head to the joint of the tail |
     | `tail` | | passive part |
-    | `front_chamber`, `rear_chamber` | m | distances of the near and the far end from the head |
-    | `K_Q` | m^3 | bending moment of a chamber per unit pressure |
+    | `chambers` | m | distances of each chamber's near and far end from the head |
+    | `K_Q` | m^3 | bending moment per unit pressure, of all chambers or of each chamber |
     | `point_masses` | m, kg | distance from the head and mass of each point mass |
     """
 
     body: RobotPart
     tail: RobotPart
-    front_chamber: tuple[Scalar, Scalar]
-    rear_chamber: tuple[Scalar, Scalar]
-    K_Q: Scalar
+    chambers: tuple[tuple[Scalar, Scalar], ...]
+    K_Q: Float[Array, " chambers"] | Scalar
     point_masses: Float[Array, "masses 2"] | None = None
 
     @property
@@ -91,7 +90,7 @@ def uniform_robot(**changes: Any) -> Robot:
         )
         for part in ("body", "tail")
     )
-    return Robot(body, tail, x["front_chamber"], x["rear_chamber"], x["K_Q"])
+    return Robot(body, tail, (x["front_chamber"], x["rear_chamber"]), x["K_Q"])
 
 
 class Numerics(eqx.Module):

@@ -13,12 +13,11 @@ from slider_jax.supports import Support
 
 
 class Drive(eqx.Module):
-    """Waveforms of the two chambers' set pressures, and the initial chamber pressures [Pa]."""
+    """The waveform of each chamber's set pressure, from the head to the tail."""
 
-    front: Waveform
-    rear: Waveform
-    start_front: Scalar = 0.0
-    start_rear: Scalar = 0.0
+    waves: tuple[Waveform, ...]
+    start: Float[Array, " chambers"] | Scalar = 0.0
+    """Initial pressure [Pa] of each chamber, or of all chambers."""
 
 
 class Model(eqx.Module):
@@ -56,9 +55,9 @@ class Mesh(eqx.Module):
 
     grid: Grid
     structure: Structure
-    chambers: Float[Array, "2 cells"]
+    chambers: Float[Array, "chambers cells"]
     """Moment in each cell per unit pressure in each chamber [m^3]."""
-    windows: Float[Array, "2 cells"]
+    windows: Float[Array, "chambers cells"]
     """Fraction [-] of each chamber's moment K_Q p that acts in each cell."""
 
 
@@ -105,4 +104,5 @@ def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
         joint=grid.at_joint(),
     )
     windows = chamber_windows(robot, grid)
-    return Mesh(grid, structure, robot.K_Q * windows, windows)
+    K_Q = jnp.broadcast_to(robot.K_Q, windows.shape[:1])
+    return Mesh(grid, structure, K_Q[:, None] * windows, windows)

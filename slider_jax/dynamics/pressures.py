@@ -7,6 +7,7 @@ A rollout computes them before its first time step, since the body's motion does
 """
 
 import functools as ft
+from collections.abc import Hashable
 
 import equinox as eqx
 import jax
@@ -14,32 +15,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from slider_jax.actuation import FirstOrderLag, PressureLaw
+from slider_jax.actuation import FirstOrderLag, PressureLaw, rear_of
 from slider_jax.actuation.waveform import Segment
 from slider_jax.dynamics.model import Model
 from slider_jax.effects import ActingPressure, Chamber, Command, Flow, of_place
 
-REAR = np.array([0.0, 1.0])
-"""Marks the rear chamber in arrays (front, rear): 0 for the front and 1 for the rear chamber."""
-
 
 class Chambers(eqx.Module):
-    """The front and rear chamber at one instant."""
+    """The chambers at one instant, from the head to the tail."""
 
-    p: Float[Array, "2"]
+    p: Float[Array, " chambers"]
     """Pressure [Pa] at the sensor."""
-    acting: Float[Array, "2"]
+    acting: Float[Array, " chambers"]
     """Pressure [Pa] that bends the body."""
-    flow_states: Float[Array, "states 2"] | None = None
+    flow_states: Float[Array, "states chambers"] | None = None
     """States of all `Flow` effects, in the order of the effects. None: there are no states."""
-    memories: tuple[Float[Array, "2 2"], ...] = ()
+    memories: tuple[Float[Array, "2 chambers"], ...] = ()
     """The memory of each `ActingPressure` effect: its state and the previous pressure [Pa]."""
 
 
 def start_chambers(model: Model) -> Chambers:
     """Returns the chambers in equilibrium at the initial pressures of the drive."""
-    drive = model.drive
-    p = jnp.stack([jnp.asarray(x, float) for x in (drive.start_front, drive.start_rear)])
+    p = jnp.broadcast_to(jnp.asarray(model.drive.start, float), (len(model.drive.waves),))
     memories = tuple(jnp.stack([p, p]) for _ in of_place(model.effects, ActingPressure))
     y = start_flow(of_place(model.effects, Flow), p)
     return Chambers(p, p, y[1:] if len(y) > 1 else None, memories)
@@ -66,19 +63,35 @@ def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) ->
 
 
 def set_pressures(model: Model, times: Float[Array, " n"]) -> Segment:
-    """Returns both chambers' set pressures between `times` [s]; each field is (n - 1, 2)."""
-    commands = of_place(model.effects, Command)
+    """Returns the set pressures between `times` [s]; each field is (n - 1, chambers).
 
-    def segments(wave, chamber):
+    Waves of the same kind are computed together, so that the number of chambers does not change the
+    size of the program.
+    """
+    commands = of_place(model.effects, Command)
+    waves, rear = model.drive.waves, rear_of(len(model.drive.waves))
+
+    def segments(wave, rear):
         for effect in commands:
-            wave = effect.command(wave, chamber)
+            wave = effect.command(wave, rear)
         return jax.vmap(wave.segment)(times[:-1], times[1:])
 
-    both = (segments(model.drive.front, 0), segments(model.drive.rear, 1))
-    return jax.tree.map(lambda *x: jnp.stack(x, 1), *both)
+    kinds: dict[Hashable, list[int]] = {}
+    for i, wave in enumerate(waves):
+        leaves, structure = jax.tree.flatten(wave)
+        kinds.setdefault((structure, *map(jnp.shape, leaves)), []).append(i)
+    parts = []
+    for members in kinds.values():
+        alike = jax.tree.map(lambda *x: jnp.stack(x), *(waves[i] for i in members))
+        parts.append(jax.vmap(segments, out_axes=1)(alike, jnp.asarray(rear[members])))
+    joined = jax.tree.map(lambda *x: jnp.concatenate(x, axis=1), *parts)
+    order = np.argsort([i for members in kinds.values() for i in members])
+    return joined if len(kinds) == 1 else jax.tree.map(lambda x: x[:, order], joined)
 
 
-def start_flow(flows: tuple[Flow, ...], p: Float[Array, "2"]) -> Float[Array, "1+states 2"]:
+def start_flow(
+    flows: tuple[Flow, ...], p: Float[Array, " chambers"]
+) -> Float[Array, "1+states chambers"]:
     """Returns the pressures `p` [Pa] and the states of `flows` in equilibrium at these pressures.
 
     The first row is p. The other rows are the states, in the order of the effects.
@@ -87,8 +100,8 @@ def start_flow(flows: tuple[Flow, ...], p: Float[Array, "2"]) -> Float[Array, "1
 
 
 def advance(
-    law: PressureLaw, flows: tuple[Flow, ...], y: Float[Array, "1+states 2"], x: Segment
-) -> Float[Array, "1+states 2"]:
+    law: PressureLaw, flows: tuple[Flow, ...], y: Float[Array, "1+states chambers"], x: Segment
+) -> Float[Array, "1+states chambers"]:
     """Returns the pressures [Pa] and the states of `flows` at the end of the segment `x`.
 
     `y` are the pressures and states at the start of the segment, as from `start_flow`. The pressure
@@ -127,7 +140,7 @@ def _rate(k, flows, side):
         dp, rows, first = (p_set - y[0]) / k, [], 1
         for effect in flows:
             own = y[first : first + effect.states]
-            x = Chamber(y[0], p_set, k, REAR, side, own)
+            x = Chamber(y[0], p_set, k, rear_of(y.shape[1]), side, own)
             rows.append(effect.state_rates(dp, x))
             dp, first = effect.rate(dp, x), first + effect.states
         return jnp.concatenate([dp[None], *rows])
@@ -138,9 +151,10 @@ def _rate(k, flows, side):
 def _through_zero(k, flows, y, a0, a1, span):
     """Returns y after a Runge-Kutta step that is split at zero pressure.
 
-    The flow into a chamber may depend on both pressures. If only one chamber crosses zero, its
-    split step therefore uses the pressure of the other chamber at the same time. The step of the
-    other chamber is not split.
+    The flow into a chamber may depend on the other pressures. If only one chamber crosses zero, its
+    split step therefore uses the pressures of the others at the same time. The steps of the others
+    are not split. If several chambers cross zero, each split step uses the pressures that the
+    others have at their own zero crossings.
     """
     p = y[0]
     rate = _rate(k, flows, jnp.where(p == 0.0, jnp.sign(a0 + a1), jnp.sign(p)))
@@ -148,7 +162,7 @@ def _through_zero(k, flows, y, a0, a1, span):
     crosses = p * whole[0] < 0.0
 
     def together(share):
-        return jnp.where(crosses, share, share[::-1])
+        return jnp.where(crosses, share, jnp.min(jnp.where(crosses, share, 1.0)))
 
     share = together(jnp.where(crosses, p / jnp.where(crosses, p - whole[0], 1.0), 1.0))
     at_zero = a0 + share * (a1 - a0)

@@ -32,8 +32,8 @@ class Loads(NamedTuple):
 
     force: Float[Array, "2"]
     """Force (x, y) [N] on the tail end, with a constant direction."""
-    pressure: Float[Array, "2"]
-    """Pressures [Pa] of the front and rear chamber."""
+    pressure: Float[Array, " chambers"]
+    """Pressure [Pa] of each chamber."""
 
 
 class AtRest(NamedTuple):

@@ -18,6 +18,7 @@ from slider_jax.effects.base import (
     Prior as Prior,
     Readings as Readings,
     WaterMotion as WaterMotion,
+    mean_of_others as mean_of_others,
     of_place as of_place,
     parameter as parameter,
     shape_parameter as shape_parameter,

@@ -104,7 +104,7 @@ class Effect(eqx.Module):
     """Whether the loop may add the effect to explain a residual. The value is False if the effect
     cannot act on a horizontal robot with a clamped head in a tank."""
     rear_only: ClassVar[bool] = False
-    """Whether the effect acts only on the rear chamber. Fits to pressure logs omit such effects."""
+    """Whether the effect is a difference between chambers. Fits to pressure logs omit it."""
     lacks_weight: ClassVar[bool] = False
     """Whether the effect adds inertia without weight. Climbing simulations exclude such effects."""
     resists_axially: ClassVar[bool] = False
@@ -201,12 +201,18 @@ class Command(Effect):
     sensors = ("pressure", *Effect.sensors)
 
     @abstractmethod
-    def command(self, wave: Waveform, chamber: int) -> Waveform:
-        """Returns the waveform at the valves for a command `wave`. `chamber` is 0 (front) or 1."""
+    def command(self, wave: Waveform, rear: Array) -> Waveform:
+        """Returns the waveform at a chamber's valves for a command `wave`; `rear` is `rear_of`."""
+
+
+def mean_of_others(values: Float[Array, "... chambers"]) -> Float[Array, "... chambers"]:
+    """Returns the mean of the other chambers' values, which is 0 if there is only one chamber."""
+    chambers = values.shape[-1]
+    return values @ ((1.0 - np.eye(chambers)) / max(chambers - 1, 1))
 
 
 class Chamber(NamedTuple):
-    """State of chambers and valves at one instant. The last axis (2,) is front and rear."""
+    """State of chambers and valves at one instant. The last axis is the chambers."""
 
     p: Array
     """Pressure [Pa]."""
@@ -215,11 +221,11 @@ class Chamber(NamedTuple):
     k: Array
     """Time constant [s] of the lag, a scalar."""
     rear: np.ndarray
-    """1 for the rear chamber, 0 for the front chamber."""
+    """Order of the chambers, from `rear_of`."""
     side: Array
     """Sign of the pressure; the sign is constant during a Runge-Kutta step."""
     states: Array
-    """States (states, 2) of the effect that reads this chamber."""
+    """States (states, chambers) of the effect that reads these chambers."""
 
     @property
     def filling(self) -> Array:
@@ -248,11 +254,11 @@ class Flow(Effect):
         """Returns whether the effect replaces the first-order lag of the pressure."""
         return False
 
-    def start(self, p: Float[Array, "2"]) -> Float[Array, "states 2"]:
+    def start(self, p: Float[Array, " chambers"]) -> Float[Array, "states chambers"]:
         """Returns the states in equilibrium at the pressures `p` [Pa]."""
         return jnp.zeros((self.states, *jnp.shape(p)))
 
-    def state_rates(self, rate: Array, x: Chamber) -> Float[Array, "states 2"]:
+    def state_rates(self, rate: Array, x: Chamber) -> Float[Array, "states chambers"]:
         """Returns the time derivatives of the states; `rate` is the argument of `rate`.
 
         An effect with `states` must override this method.
@@ -267,13 +273,13 @@ class ActingPressure(Effect):
 
     @abstractmethod
     def act(
-        self, p: Float[Array, "2"], memory: Float[Array, "2 2"], dt: Array
+        self, p: Float[Array, " chambers"], memory: Float[Array, "2 chambers"], dt: Array
     ) -> tuple[Array, Array]:
-        """Returns the pressures (2,) [Pa] that bend the body at the end of a step, and the memory.
+        """Returns the pressures [Pa] that bend the body at the end of a step, and the memory.
 
-        `p` is the pressure [Pa] of front and rear at the end of the step `dt` [s]. `memory` (2, 2)
-        contains a state (2,) and the pressure (2,) before the step. At the start of a simulation,
-        both rows are the pressure. An effect without a state returns `memory` unchanged.
+        `p` is the pressure [Pa] of each chamber at the end of the step `dt` [s]. The rows of
+        `memory` are a state and the pressure before the step. At the start of a simulation, both
+        rows are the pressure. An effect without a state returns `memory` unchanged.
         """
 
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from slider_jax.actuation.waveform import SquareWave, Waveform
+from slider_jax.actuation.waveform import SquareWave, Waveform, rear_of
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import uniform_robot
 from slider_jax.effects.base import (
@@ -39,6 +39,8 @@ SENSORS, SEGMENTS = ("pressure", "thrust", "recoil", "tip"), ("body", "tail")
 """Allowed entries of an effect's attributes `sensors` and `segments`."""
 DT = 2e-3
 """Time step [s] of the samples."""
+CHAMBERS = 2
+"""Number of chambers in the samples of pressures."""
 
 
 class Response(NamedTuple):
@@ -112,12 +114,12 @@ def _set_pressures(wave: Waveform) -> Array:
 
 def _command(effect: Command, moving: Array) -> Response:
     wave = SquareWave(jnp.asarray(5.0), 2e5 * moving, jnp.asarray(0.1))
-    both = [_set_pressures(effect.command(wave, chamber)) for chamber in (0, 1)]
-    return Response(jnp.stack(both), jnp.stack([_set_pressures(wave)] * 2))
+    rows = [_set_pressures(effect.command(wave, rear)) for rear in rear_of(CHAMBERS)]
+    return Response(jnp.stack(rows), jnp.stack([_set_pressures(wave)] * CHAMBERS))
 
 
 def _rate(effect: Flow, moving: Array) -> Response:
-    k, rear, given, unchanged = jnp.asarray(0.1), np.array([0.0, 1.0]), [], []
+    k, rear, given, unchanged = jnp.asarray(0.1), rear_of(CHAMBERS), [], []
     states, memory = [], []
     # Both signs of the pressure, each with one chamber that fills and one that vents.
     for p, p_set in (([0.5e5, 1.2e5], [2e5, 0.2e5]), ([-0.4e5, -1e5], [-2e5, 1e5])):
@@ -133,11 +135,12 @@ def _rate(effect: Flow, moving: Array) -> Response:
         given.append(effect.rate(rate, x))
         unchanged.append(rate)
         states.append(effect.state_rates(rate, x))
-        memory.append(jnp.zeros((effect.states, 2)))
+        memory.append(jnp.zeros((effect.states, CHAMBERS)))
         for method, array in (("start", x.states), ("state_rates", states[-1])):
-            if jnp.shape(array) != (effect.states, 2):
+            if jnp.shape(array) != (effect.states, CHAMBERS):
                 raise TypeError(
-                    f"{method} returns the shape {jnp.shape(array)}; allowed ({effect.states}, 2)"
+                    f"{method} returns the shape {jnp.shape(array)}; allowed "
+                    f"({effect.states}, {CHAMBERS})"
                 )
     replaces = jnp.where(jnp.asarray(effect.replaces()), 1.0, 0.0)
     return Response((given, replaces), (unchanged, jnp.zeros(())), states, memory)

@@ -21,6 +21,7 @@ from slider_jax.actuation import (
     SquareWave,
     Trapezoid,
     Waveform,
+    waves_along,
 )
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics, Robot, Scalar
@@ -178,8 +179,8 @@ def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, .
         )
 
 
-def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]:
-    """Returns the recorded front and rear pressures, checked for duration, spacing and unit."""
+def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, ...]:
+    """Returns the recorded pressures of the chambers, checked for duration, spacing and unit."""
     path = experiment.folder / str(trial.drive_file)
     names = ("p_front_Pa", "p_rear_Pa")
     columns = read_csv(path, (TIME, *names))
@@ -204,21 +205,24 @@ def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]
         )
     for name in names:
         check_pascal(path, columns, (name,))
-    front, rear = (Recorded(jnp.asarray(times), jnp.asarray(columns[x])) for x in names)
-    return front, rear
+    return tuple(Recorded(jnp.asarray(times), jnp.asarray(columns[x])) for x in names)
 
 
 def _drive(experiment: Experiment, trial: Trial) -> Drive:
     if trial.waveform == "recorded":
-        front, rear = _recorded(experiment, trial)
+        recorded = _recorded(experiment, trial)
         if trial.drive_is == "measured":
-            return Drive(front, rear, *(jnp.interp(0.0, x.times, x.values) for x in (front, rear)))
-        return Drive(front, rear)
+            start = jnp.stack([jnp.interp(0.0, x.times, x.values) for x in recorded])
+            return Drive(recorded, start)
+        return Drive(recorded, jnp.zeros(len(recorded)))
     f, amplitude = trial.frequency, trial.amplitude
     assert f is not None and amplitude is not None
-    waves: dict[str, Callable[..., Waveform]] = {"square": SquareWave, "sine": SineWave}
-    wave = waves.get(trial.waveform, partial(Trapezoid, rise=trial.rise))
-    return Drive(wave(f, amplitude), wave(f, amplitude * trial.rear_ratio, trial.phase))
+    kinds: dict[str, Callable[..., Waveform]] = {"square": SquareWave, "sine": SineWave}
+    kind = kinds.get(trial.waveform, partial(Trapezoid, rise=trial.rise))
+    chambers = len(experiment.robot.chambers)
+    last = amplitude * trial.rear_ratio
+    waves = waves_along(partial(kind, f), chambers, amplitude, last, trial.phase)
+    return Drive(waves, jnp.zeros(chambers))
 
 
 def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:

@@ -69,7 +69,7 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
         edges = t[np.union1d(*(np.flatnonzero(np.diff(x)) + 1 for x in sets))]
     else:
         waves, edges = [_held(*_averaged(t, x)) for x in sets], None
-    return PlayedDrive(Drive(waves[0], waves[1], jnp.zeros(()), jnp.zeros(())), edges)
+    return PlayedDrive(Drive(tuple(waves), jnp.zeros(len(waves))), edges)
 
 
 def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

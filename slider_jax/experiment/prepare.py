@@ -126,8 +126,9 @@ def prepare(
     longest, spacing = experiment.numerics.step, None
     if played is not None:
         model, longest = replace(model, drive=played.drive), min(longest, LONGEST_STEP)
-    if isinstance(model.drive.front, Recorded):
-        times = np.asarray(model.drive.front.times)
+    recorded = [np.asarray(x.times) for x in model.drive.waves if isinstance(x, Recorded)]
+    if recorded:
+        times = recorded[0]
         spacing = (times[-1] - times[0]) / (len(times) - 1)
     grid = step_grid(trial, longest, trial.duration, spacing, played)
     channels = tuple(CHANNELS.values())

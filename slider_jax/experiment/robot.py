@@ -48,8 +48,7 @@ def robot_of(table: RobotTable | SegmentedRobotTable, K_Q: float, folder: Path) 
     return Robot(
         body,
         _part(behind) if behind else _no_tail(body),
-        table.front_chamber,
-        table.rear_chamber,
+        table.chambers,
         K_Q,
         point_masses=jnp.array([[x.s, x.mass] for x in masses]) if masses else None,
     )

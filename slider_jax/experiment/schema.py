@@ -69,6 +69,11 @@ class ChambersTable(Table):
     water_density: WaterDensity = 1000.0
 
     @property
+    def chambers(self) -> tuple[tuple[float, float], ...]:
+        """Distances [m] of each chamber's near and far end from the head."""
+        return self.front_chamber, self.rear_chamber
+
+    @property
     def lengths(self) -> tuple[float, float]:
         """Lengths [m] of tail and body."""
         raise NotImplementedError

@@ -32,8 +32,8 @@ def stored_energy(x: Snapshot) -> StoredEnergy:
     )
 
 
-def chamber_power(x: Snapshot) -> Float[Array, "2"]:
-    """Returns the mechanical power [W] of the front and rear chamber on the body.
+def chamber_power(x: Snapshot) -> Float[Array, " chambers"]:
+    """Returns the mechanical power [W] of each chamber on the body.
 
     The power is int K_Q p kappa_t ds in the chamber's span, without losses of valves and supply. It
     is positive while the body bends in the direction of the chamber's moment.

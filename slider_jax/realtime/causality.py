@@ -27,24 +27,24 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
     times = jnp.asarray(LATE + h * np.arange(float(length)))
     values = jnp.asarray(np.random.default_rng(0).uniform(-1e5, 1e5, length))
 
-    def segments(commands: tuple[Command, ...], chamber: int, wave: Waveform, t: Array):
+    def segments(commands: tuple[Command, ...], rear: Array, wave: Waveform, t: Array):
         for effect in commands:
-            wave = effect.command(wave, chamber)
+            wave = effect.command(wave, rear)
         return jax.vmap(wave.segment)(t[:-1], t[1:])
 
     @eqx.filter_jit
-    def both(commands, chamber):
+    def both(commands, rear):
         def at(now):
             known = now + jnp.arange(1 - samples, 1)
             t = times[now] + h * jnp.array([0.0, 0.3, 0.9])  # before the next sample
             waves = Held(times, values), Held(times[known], values[known])
-            return [segments(commands, chamber, wave, t) for wave in waves]
+            return [segments(commands, rear, wave, t) for wave in waves]
 
         return jax.vmap(at)(jnp.arange(samples, 2 * samples))
 
     for count in range(1, len(commands) + 1):
-        for chamber in (0, 1):
-            whole, live = map(jax.tree.leaves, both(commands[:count], chamber))
+        for rear in (0.0, 1.0):
+            whole, live = map(jax.tree.leaves, both(commands[:count], jnp.asarray(rear)))
             if not all(np.allclose(a, b, 1e-9, 1e-9) for a, b in zip(whole, live, strict=True)):
                 raise InputError(
                     f"effects: {commands[count - 1].name()}: in real time only the set pressures "

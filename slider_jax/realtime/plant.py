@@ -160,7 +160,7 @@ class Plant:
         t, (left, right) = time_and_commanded[0], time_and_commanded[1:].reshape(2, 2).T
         commanded = jnp.concatenate([state.commanded[1:], (left - right)[None]])
         times = t + self.step * jnp.arange(1.0 - self._samples, 1.0)
-        drive = Drive(Held(times, commanded[:, 0]), Held(times, commanded[:, 1]))
+        drive = Drive(tuple(Held(times, x) for x in commanded.T))
         driven = eqx.tree_at(lambda m: m.drive, _with_faults(model, faults), drive)
         grid = TimeGrid(self.step, 1, t)
         run = continued(state.carry, driven, grid, true_readings, self._numerics, self._scheme)

@@ -49,10 +49,10 @@ def _effect(kind: str, **changed: Any) -> Callable[[Model], Model]:
     return change
 
 
-def _drive(chamber: str, **changed: Any) -> Callable[[Model], Model]:
+def _rear_wave(**changed: Any) -> Callable[[Model], Model]:
     def change(model: Model) -> Model:
-        wave = replace(getattr(model.drive, chamber), **changed)
-        return replace(model, drive=replace(model.drive, **{chamber: wave}))
+        *others, rear = model.drive.waves
+        return replace(model, drive=replace(model.drive, waves=(*others, replace(rear, **changed))))
 
     return change
 
@@ -68,9 +68,9 @@ CHANGES: dict[str, Callable[[Model], Model]] = {
     NO_LAG: _lag(0.0),
     "lag k = 20 ms": _lag(0.02),
     TIP_K_Q: _robot(lambda x: replace(x, K_Q=K_Q_OF_THE_TIP)),
-    "both chambers at once": _drive("rear", phase=0.0),
-    "phase 0.25": _drive("rear", phase=0.25),
-    "front chamber alone": _drive("rear", amplitude=0.0),
+    "both chambers at once": _rear_wave(phase=0.0),
+    "phase 0.25": _rear_wave(phase=0.25),
+    "front chamber alone": _rear_wave(amplitude=0.0),
     SOFT_TAIL: _robot(lambda x: x.with_tail(EI=0.001)),
     "70 mm tail of 5.8 mN m^2": _robot(lambda x: x.with_tail(0.07, 0.0058)),
     "half the body's EI": _robot(lambda x: replace(x, body=x.body.changed(EI=0.019))),
@@ -80,7 +80,7 @@ CHANGES: dict[str, Callable[[Model], Model]] = {
     "C_d = 1.2": _effect("normal_drag", C_d=1.2),
     "m_a = 0.5": _effect("reactive_force", m_a=0.5),
     "chambers over the whole body": _robot(
-        lambda x: replace(x, front_chamber=(0.0, 0.149), rear_chamber=(0.149, 0.298))
+        lambda x: replace(x, chambers=((0.0, 0.149), (0.149, 0.298)))
     ),
     "twice the axial resistance": _effect("head_drag", area=2.0 * HEAD_DRAG),
 }

@@ -55,8 +55,9 @@ class SavedSeries:
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
         """Returns the series' initial values for the `midline` (2, nodes) [m], without forces."""
         values = {x.name: np.asarray(x.start(midline), float) for x in self.channels}
-        values["p_front"] = np.asarray(model.drive.start_front)
-        values["p_rear"] = np.asarray(model.drive.start_rear)
+        pressures = [x.name for x in self.channels if x.kind == "pressure"]
+        start = np.broadcast_to(model.drive.start, len(pressures))
+        values |= dict(zip(pressures, start, strict=True))
         if self.shape:
             values["midline"] = midline
             values["moment"] = np.zeros(midline.shape[1])

@@ -1,12 +1,13 @@
 """Defines gaits (drive and tail), and models of a robot that swims freely or climbs a wall."""
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from slider_jax.actuation import SineWave, SquareWave, Trapezoid, Waveform
+from slider_jax.actuation import SineWave, SquareWave, Trapezoid, Waveform, waves_along
 from slider_jax.beam.parameters import G, Scalar
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.effects.base import ForceDensity, Mounting, WaterMotion, of_place
@@ -28,11 +29,11 @@ class Gait(NamedTuple):
     frequency: Scalar
     """Stride frequency f [Hz]."""
     front: Scalar
-    """Amplitude P_head of the front chamber's set pressure [Pa]."""
+    """Amplitude P_head of the first chamber's set pressure [Pa]."""
     rear: Scalar
-    """Amplitude P_tail of the rear chamber's set pressure [Pa]."""
+    """Amplitude P_tail of the last chamber's set pressure [Pa]; linear for chambers between."""
     phase: Scalar
-    """Delay phi of the rear chamber's set pressure, as a fraction of a period."""
+    """Delay phi of the last chamber's set pressure, as a fraction of a period."""
     tail_length: Scalar
     """Length L_tail of the tail [m]."""
     EI_tail: Scalar
@@ -78,14 +79,14 @@ def to_climber(
             )
     if gait is not None:
         model = driven(model, gait)
-    front, rear = _capped(model.drive.front, cap), _capped(model.drive.rear, cap)
-    is_driven = (front.amplitude != 0.0) | (rear.amplitude != 0.0)
+    waves = tuple(_capped(wave, cap) for wave in model.drive.waves)
+    is_driven = jnp.any(jnp.stack([wave.amplitude for wave in waves]) != 0.0)
     kept = [e for e in model.effects if not isinstance(e, (WaterMotion, Mounting, Gravity))]
     kept = [e for e in kept if not isinstance(e, ForceDensity) or e.in_air]
     model = replace(
         model,
         effects=(Gravity(G), *kept),
-        drive=replace(model.drive, front=front, rear=rear),
+        drive=replace(model.drive, waves=waves),
         support=PinnedLink(link, jnp.where(is_driven, frequency, 0.0), pin_phase),
         water=(0.0, 0.0),
     )
@@ -100,9 +101,13 @@ def _capped(wave: Waveform, cap: Scalar) -> Wave:
 def driven(model: Model, gait: Gait) -> Model:
     """Returns the model with the tail and the square-wave drive of a gait."""
     robot = model.robot.with_tail(gait.tail_length, gait.EI_tail)
-    front = SquareWave(gait.frequency, gait.front)
-    rear = SquareWave(gait.frequency, gait.rear, gait.phase)
-    return replace(model, robot=robot, drive=Drive(front, rear))
+    return replace(model, robot=robot, drive=Drive(gait_waves(gait, len(robot.chambers))))
+
+
+def gait_waves(gait: Gait, chambers: int) -> tuple[Waveform, ...]:
+    """Returns the square wave of each chamber's set pressure in a gait."""
+    wave = partial(SquareWave, gait.frequency)
+    return waves_along(wave, chambers, gait.front, gait.rear, gait.phase)
 
 
 def stride_frequency(trial: Trial) -> float:

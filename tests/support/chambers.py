@@ -33,7 +33,7 @@ def pressure_history(law, waveform, start, times):
 
 def chambers(effects, front, rear, t, start=0.0, law=LAG):
     """Returns the chambers' history (n, ...) from the pressure `start` [Pa] in both."""
-    model = Model(uniform_robot(), tuple(effects), law, Drive(front, rear, start, start), Clamped())
+    model = Model(uniform_robot(), tuple(effects), law, Drive((front, rear), start), Clamped())
     model = arrays(model)
     begin = pneumatics.start_chambers(model)
     rest = chamber_history(model, begin, jnp.asarray(t))

@@ -38,7 +38,7 @@ def swimmer(
         uniform_robot(**robot),
         (NormalDrag(C_d), ReactiveForce(m_a)) if effects is None else effects,
         FirstOrderLag(k),
-        Drive(wave(frequency, amplitude), wave(frequency, amplitude, phase)),
+        Drive((wave(frequency, amplitude), wave(frequency, amplitude, phase))),
         Clamped() if support is None else support,
     )
     return arrays(model)
@@ -58,7 +58,7 @@ def uniform(L=0.368, EI=0.038, effects=(), support=None, **robot) -> Model:
             uniform_robot(**rod),
             tuple(effects),
             FirstOrderLag(0.1),
-            Drive(SineWave(1.0, 0.0), SineWave(1.0, 0.0)),
+            Drive((SineWave(1.0, 0.0), SineWave(1.0, 0.0))),
             Clamped() if support is None else support,
         )
     )

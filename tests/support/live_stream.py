@@ -49,7 +49,7 @@ def set_pressures(drive, t):
         first, second = 0.5 * (x.a0 + x.a1), 0.5 * (x.b0 + x.b1)
         return RATE * (first * (x.t_break - x.t0) + second * (x.t1 - x.t_break))
 
-    return jnp.stack([mean(wave) for wave in (drive.front, drive.rear)])
+    return jnp.stack([mean(wave) for wave in drive.waves])
 
 
 def only(readings, keep):
@@ -88,11 +88,12 @@ class Streaming:
     @property
     def model(self):
         robot = replace(self._model.robot, K_Q=self.K_Q)
-        waves = (self._model.drive.front, self._model.drive.rear)
-        waves = [replace(w, amplitude=self.drive * w.amplitude) for w in waves]
+        waves = tuple(
+            replace(w, amplitude=self.drive * w.amplitude) for w in self._model.drive.waves
+        )
         model = replace(
             self._model,
-            drive=replace(self._model.drive, front=waves[0], rear=waves[1]),
+            drive=replace(self._model.drive, waves=waves),
             robot=robot.with_tail(self.tail_length, self.EI_tail),
             pressure_law=FirstOrderLag(self.k),
             effects=(*self._model.effects, FrontFault(self.leak, self.shut)),

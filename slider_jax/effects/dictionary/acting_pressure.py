@@ -5,9 +5,10 @@ from abc import abstractmethod
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from slider_jax.actuation.waveform import rear_of
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import ActingPressure, Chamber, Curve, shape_parameter
-from slider_jax.effects.dictionary.flow import WHY_SCALE, other_chamber
+from slider_jax.effects.base import ActingPressure, Chamber, Curve, mean_of_others, shape_parameter
+from slider_jax.effects.dictionary.flow import WHY_SCALE
 from slider_jax.effects.functions import Basis, Powers, mixed_powers, odd_powers
 
 PRESSURE = 20e3
@@ -19,7 +20,7 @@ class RearActingPressure:
 
     def act(self, p, memory, dt):
         acting, memory = super().act(p, memory, dt)  # type: ignore[misc]
-        return jnp.concatenate([p[..., :1], acting[..., 1:]], axis=-1), memory
+        return jnp.where(rear_of(p.shape[-1]) == 1.0, acting, p), memory
 
 
 class ActingPressureTerm(Powers, ActingPressure):
@@ -27,7 +28,7 @@ class ActingPressureTerm(Powers, ActingPressure):
 
     @abstractmethod
     def of_pressures(self, p: Array) -> Array:
-        """Returns the state z of the chambers with the pressures `p` (..., 2)."""
+        """Returns the state z of the chambers with the pressures `p` (..., chambers)."""
 
     @abstractmethod
     def basis(self, z: Array) -> Basis:
@@ -54,7 +55,7 @@ class ActingPressureOfOther(ActingPressureTerm):
     the visited |p|."""
 
     def of_pressures(self, p):
-        return other_chamber(p)
+        return mean_of_others(p)
 
     def basis(self, z):
         return mixed_powers(z / self.scale, PRESSURE)
@@ -70,7 +71,7 @@ class ActingPressureOfDifference(ActingPressureTerm):
     the visited |p - p_other|."""
 
     def of_pressures(self, p):
-        return p - other_chamber(p)
+        return p - mean_of_others(p)
 
     def basis(self, z):
         return odd_powers(z / self.scale, PRESSURE)

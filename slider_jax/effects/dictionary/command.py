@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -37,11 +38,23 @@ ITERATIONS = 5
 delay, which is about 0.01, and 0.2 for the fastest drift."""
 
 
+class Selected(Waveform):
+    """The set pressure `changed` if `applies` is true, otherwise `wave`."""
+
+    applies: Array
+    changed: Waveform
+    wave: Waveform
+
+    def segment(self, t0, t1):
+        changed, wave = self.changed.segment(t0, t1), self.wave.segment(t0, t1)
+        return jax.tree.map(lambda x, y: jnp.where(self.applies, x, y), changed, wave)
+
+
 class RearCommand:
     """The rear chamber; only its set pressure changes."""
 
-    def command(self, wave, chamber):
-        return super().command(wave, chamber) if chamber else wave  # type: ignore[misc]
+    def command(self, wave, rear):
+        return Selected(rear == 1.0, super().command(wave, rear), wave)  # type: ignore[misc]
 
 
 class Drifting(Waveform):
@@ -70,7 +83,7 @@ class SetPressureDelayDrift(RigDrift, Command):
     title = "delay of the set pressure that drifts during a trial"
     term_curve = Curve("time t", "s", "delay divided by 2 ms", "-")
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Drifting(wave, self)
 
 
@@ -119,7 +132,7 @@ class SetPressureDelayOfEdges(Command):
         rises = jnp.where(z > 0.0, 1.0, 0.0)
         return rises, 1.0 - rises
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return EdgeDelayed(wave, DELAY * self.a, DELAY * self.b)
 
 
@@ -151,7 +164,7 @@ class SetPressureGainDrift(RigDrift, Command):
         """Returns the additional pressure [Pa] at the time t."""
         return GAIN * self.at(t) * p_set
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Varying(wave, self.change)
 
 
@@ -175,7 +188,7 @@ class SetPressureSineTerm(Sine, Command):
     def change(self, t: Array, p_set: Array) -> Array:
         """Returns the additional pressure [Pa] at the time t."""
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Varying(wave, self.change)
 
 
@@ -226,7 +239,7 @@ class SetPressureTerm(Powers, Command):
         """Returns the set pressure at the valves for the commanded `p_set`."""
         return p_set + self.total(self.basis(p_set))
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Shaped(wave, self.set_pressure)
 
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Chamber, Curve, Flow, Readings, shape_parameter
+from slider_jax.effects.base import Chamber, Curve, Flow, Readings, mean_of_others, shape_parameter
 from slider_jax.effects.functions import (
     MEMORY_TIMES,
     Basis,
@@ -27,11 +27,6 @@ parameters of a term are factors of one of the last two."""
 MEMORY_TIME = 0.3
 """Time constant [s] of the recent flow: a stride at 3 Hz."""
 WHY_SCALE = "the pressures of a soft robot"
-
-
-def other_chamber(values: Array) -> Array:
-    """Returns the values of the other chamber; the last axis (2,) is front and rear."""
-    return values[..., ::-1]
 
 
 class FlowTerm(Powers, Flow):
@@ -57,7 +52,7 @@ class RearFlow:
     """The rear chamber; only its flow changes."""
 
     def rate(self, rate, x):
-        return jnp.where(x.rear > 0, super().rate(rate, x), rate)  # type: ignore[misc]
+        return jnp.where(x.rear == 1.0, super().rate(rate, x), rate)  # type: ignore[misc]
 
 
 class PressureTerm(FlowTerm):
@@ -172,7 +167,7 @@ class FlowOfOtherDifference(DifferenceTerm):
     term_curve = Curve("difference p_set - p of the other chamber", "Pa", "change of dp/dt", "Pa/s")
 
     def state(self, x):
-        return other_chamber(x.p_set - x.p)
+        return mean_of_others(x.p_set - x.p)
 
     def basis(self, z):
         return mixed_powers(z / self.scale, RATE)
@@ -233,7 +228,7 @@ class FlowBetweenChambers(FlowTerm):
     the visited |d|."""
 
     def state(self, x):
-        return x.p - other_chamber(x.p)
+        return x.p - mean_of_others(x.p)
 
     def basis(self, z):
         q = jnp.clip(z / self.scale, -1.0, 1.0)
@@ -287,14 +282,14 @@ class OfFrontValve:
     """The valves of the front chamber; f acts only there."""
 
     def acts(self, x: Chamber) -> Array:
-        return jnp.asarray(x.rear) == 0
+        return jnp.asarray(x.rear) == 0.0
 
 
 class OfRearValve:
     """The valves of the rear chamber; f acts only there."""
 
     def acts(self, x: Chamber) -> Array:
-        return jnp.asarray(x.rear) > 0
+        return jnp.asarray(x.rear) == 1.0
 
 
 class ValveOpening(OpeningTerm):
@@ -326,7 +321,7 @@ class FillingOpeningOfOther(OpeningTerm):
     term_curve = Curve("difference that fills the other chamber", "Pa", "change of 1/k", "1/s")
 
     def state(self, x):
-        return other_chamber(jnp.maximum(x.side * (x.p_set - x.p), 0.0))
+        return mean_of_others(jnp.maximum(x.side * (x.p_set - x.p), 0.0))
 
     def acts(self, x):
         return x.filling
@@ -357,7 +352,7 @@ class OpeningOfOther(OpeningTerm):
     term_curve = Curve("pressure |p_other|", "Pa", "change of 1/k", "1/s")
 
     def state(self, x):
-        return other_chamber(jnp.abs(x.p))
+        return mean_of_others(jnp.abs(x.p))
 
 
 class FrontOpeningOfOther(OfFrontValve, OpeningOfOther):
@@ -379,7 +374,7 @@ class OpeningOfDifference(OpeningTerm):
 
     def state(self, x):
         size = jnp.abs(x.p)
-        return other_chamber(size) - size
+        return mean_of_others(size) - size
 
     def basis(self, z):
         return mixed_powers(z / self.scale, OPENING)
@@ -423,7 +418,7 @@ class OpeningOfSum(OpeningTerm):
     term_curve = Curve("sum |p_front + p_rear|", "Pa", "change of 1/k", "1/s")
 
     def state(self, x):
-        return jnp.abs(x.p + other_chamber(x.p))
+        return jnp.abs(x.p + mean_of_others(x.p))
 
 
 class FrontOpeningOfSum(OfFrontValve, OpeningOfSum):

@@ -1,18 +1,17 @@
-"""Crosstalk between the front chamber and the rear chamber."""
-
-import jax.numpy as jnp
+"""Crosstalk between the chambers."""
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import ActingPressure, parameter
+from slider_jax.effects.base import ActingPressure, mean_of_others, parameter
 
 
 class ChamberCrosstalk(ActingPressure):
-    """Each chamber also bends the part of the body around the other chamber.
+    """Each chamber also bends the parts of the body around the other chambers.
 
-        p_act = (p_front + c p_rear, p_rear + c p_front)
+        p_act = p + c p_other
 
-    The two chambers have a common skin. Source: linear cross-sensitivity, Doebelin, E. O. (2003),
-    Measurement Systems, 5th ed., McGraw-Hill, ch. 2.
+    p_other is the mean pressure of the other chambers. The chambers have a common skin. Source:
+    linear cross-sensitivity, Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill,
+    ch. 2.
     """
 
     title = "each chamber also bends the other chamber's span"
@@ -24,4 +23,4 @@ class ChamberCrosstalk(ActingPressure):
     """c, fraction of a chamber's moment that acts on the body around the other chamber."""
 
     def act(self, p, memory, dt):
-        return jnp.stack([p[0] + self.share * p[1], p[1] + self.share * p[0]]), memory
+        return p + self.share * mean_of_others(p), memory

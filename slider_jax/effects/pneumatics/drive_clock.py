@@ -23,5 +23,5 @@ class DriveClock(Command):
     )  # fmt: skip
     """Relative error of the controller's clock. A negative value means that the clock is fast."""
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Stretched(wave, self.slow)

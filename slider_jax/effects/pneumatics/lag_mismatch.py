@@ -9,10 +9,10 @@ from slider_jax.effects.base import Flow, parameter
 class LagMismatch(Flow):
     """The rear chamber has a different time constant, for example because of a longer hose.
 
-        dp/dt = (p_set - p)/k              front
-        dp/dt = (p_set - p)/(k (1 + x))    rear
+        dp/dt = (p_set - p)/(k (1 + x r))
 
-    Source: charge of a volume through a line, Beater, P. (2007), Pneumatic Drives, Springer.
+    r is 0 at the first and 1 at the last chamber, and evenly spaced between. Source:
+    charge of a volume through a line, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
     title = "the rear chamber has a different lag"
@@ -27,7 +27,7 @@ class LagMismatch(Flow):
         "hoses and volumes of the two chambers differ by up to a factor of two",
         physical=(-0.95, math.inf),
     )
-    """x, relative difference of the rear chamber's time constant from the front chamber's k."""
+    """x, relative difference of the rear chamber's time constant from the first chamber's k."""
 
     def rate(self, rate, x):
         return rate / (1.0 + self.x * x.rear)

@@ -6,12 +6,13 @@ from slider_jax.effects.base import Command, parameter
 
 
 class RearValveDelay(Command):
-    """The rear chamber's valve reacts later than the front chamber's valve.
+    """The last chamber's valve reacts later than the first chamber's valve.
 
-        p_set,valve(t) = p_set(t - delay) in the rear chamber
+        p_set,valve(t) = p_set(t - delay r)
 
-    The delay cannot be negative, because the command starts at t = 0. Source: solenoid valves'
-    switching times, Beater, P. (2007), Pneumatic Drives, Springer, ch. 5.
+    r is 0 at the first and 1 at the last chamber, and evenly spaced between. The delay cannot be
+    negative, because the command starts at t = 0. Source: solenoid valves' switching times, Beater,
+    P. (2007), Pneumatic Drives, Springer, ch. 5.
     """
 
     title = "the rear valve acts later than the front valve"
@@ -21,7 +22,7 @@ class RearValveDelay(Command):
     delay: Scalar = parameter(
         0.0, 0.0, 0.03, "s", "the delay is at most the switching time of the valve"
     )
-    """Dead time of the rear valve minus the dead time of the front valve."""
+    """Dead time of the last valve minus the dead time of the first valve."""
 
-    def command(self, wave, chamber):
-        return Delayed(wave, self.delay) if chamber == 1 else wave
+    def command(self, wave, rear):
+        return Delayed(wave, self.delay * rear)

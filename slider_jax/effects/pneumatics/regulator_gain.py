@@ -26,5 +26,5 @@ class RegulatorGain(Command):
         """Returns the set pressure at the valves [Pa]."""
         return (1.0 + self.gain) * p_set
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Shaped(wave, self.curve)

@@ -25,5 +25,5 @@ class RegulatorOffset(Command):
         """Returns the set pressure at the valves [Pa]."""
         return p_set + self.offset
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Shaped(wave, self.curve)

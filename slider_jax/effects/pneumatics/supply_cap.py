@@ -28,5 +28,5 @@ class SupplyCap(Command):
         """Returns the set pressure at the valves [Pa]."""
         return limited(p_set, self.inverse)
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Shaped(wave, self.curve)

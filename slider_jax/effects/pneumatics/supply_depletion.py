@@ -23,5 +23,5 @@ class SupplyDepletion(Command):
     )
     """r, relative loss of pressure per time."""
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Fading(wave, self.rate)

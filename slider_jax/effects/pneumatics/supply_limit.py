@@ -29,5 +29,5 @@ class SupplyLimit(Command):
         """Returns the set pressure at the valves [Pa]."""
         return p_set / (1.0 + self.inverse * jnp.abs(p_set))
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Shaped(wave, self.curve)

@@ -21,5 +21,5 @@ class ValveDelay(Command):
     )
     """Dead time of all valves."""
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Delayed(wave, self.delay)

@@ -125,9 +125,9 @@ def test_on_alternating_pins_alone_it_does_not_climb():
 
 def test_pressures_are_capped():
     strong, capped = wall(GAIT._replace(front=448e3, rear=-448e3)), wall()
-    assert float(strong.drive.front.amplitude) == 172.3e3
-    assert float(strong.drive.rear.amplitude) == -172.3e3
-    assert float(capped.drive.rear.amplitude) == 150e3
+    assert float(strong.drive.waves[0].amplitude) == 172.3e3
+    assert float(strong.drive.waves[1].amplitude) == -172.3e3
+    assert float(capped.drive.waves[1].amplitude) == 150e3
     assert [e.name() for e in strong.effects] == ["gravity"]
 
 

@@ -28,7 +28,7 @@ def mean_thrust(factors):
     """Mean thrust [N] over the last stride; `factors` multiply the six parameters."""
     values = tuple(f * p for f, p in zip(factors, leaves(BASE), strict=True))
     model = eqx.tree_at(leaves, BASE, values)
-    times = TimeGrid.per_stride(model.drive.front.frequency, PER_STRIDE, STRIDES)
+    times = TimeGrid.per_stride(model.drive.waves[0].frequency, PER_STRIDE, STRIDES)
     out = rollout(model, times, lambda x: -x.y[0, -1], FINE)
     return jnp.mean(out.saved[-PER_STRIDE:]), out.ok
 

@@ -95,7 +95,7 @@ def test_derivatives_reach_the_parameters_through_the_states(effect):
 
     def last(x):
         flows = (jax.tree.unflatten(structure, list(x)),)
-        drive = Drive(held(0.2 * A), held(0.2 * A), 0.9 * A, 0.9 * A)
+        drive = Drive((held(0.2 * A), held(0.2 * A)), 0.9 * A)
         model = Model(uniform_robot(), flows, LAG, drive, Clamped())
         return chamber_history(model, start_chambers(model), jnp.asarray(T[:101])).p[-1, 0]
 

@@ -39,7 +39,7 @@ def readings(effects):
         uniform_robot(),
         (NormalDrag(3.0), ReactiveForce(1.0), *effects),
         FirstOrderLag(0.03),
-        Drive(SquareWave(4.0, 250e3, 0.031), SquareWave(4.0, 220e3, 0.177)),
+        Drive((SquareWave(4.0, 250e3, 0.031), SquareWave(4.0, 220e3, 0.177))),
         Clamped(tow_speed=0.1),
     )
     model = arrays(model)

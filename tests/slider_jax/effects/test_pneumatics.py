@@ -332,7 +332,7 @@ def span_moments(effect, p_front, p_rear):
     """Moments [N m] in the middle of the front and of the rear chamber."""
     robot, mesh = uniform_robot(), make_mesh(uniform_robot(), SMALL)
     moment = acting(effect, p_front, p_rear) @ mesh.chambers
-    middles = [robot.length - np.mean(c) for c in (robot.front_chamber, robot.rear_chamber)]
+    middles = [robot.length - np.mean(c) for c in robot.chambers]
     return np.interp(middles, mesh.structure.s, moment)
 
 

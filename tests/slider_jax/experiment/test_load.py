@@ -30,14 +30,20 @@ def test_every_number_of_the_file_reaches_the_model(tmp_path):
         ((robot.body.EA, robot.tail.EA), (1e5, 1e5)),
         ((robot.body.damping_time, robot.tail.damping_time), (0.002, 0.002)),
         ((robot.body.height, robot.tail.height), (0.03, 0.03)),
-        (robot.front_chamber, (0.02, 0.145)),
-        (robot.rear_chamber, (0.155, 0.28)),
+        (robot.chambers[0], (0.02, 0.145)),
+        (robot.chambers[1], (0.155, 0.28)),
         (robot.K_Q, 4.79e-7),
         ((drag.C_d, drag.density), (3.0, 1000.0)),
         ((reactive.m_a, reactive.density), (1.0, 1000.0)),
         (model.pressure_law.k, 0.087),
-        ((drive.front.frequency, drive.front.amplitude, drive.front.phase), (4.0, 1.5e5, 0.0)),
-        ((drive.rear.frequency, drive.rear.amplitude, drive.rear.phase), (4.0, 1.35e5, 0.1)),
+        (
+            (drive.waves[0].frequency, drive.waves[0].amplitude, drive.waves[0].phase),
+            (4.0, 1.5e5, 0.0),
+        ),
+        (
+            (drive.waves[1].frequency, drive.waves[1].amplitude, drive.waves[1].phase),
+            (4.0, 1.35e5, 0.1),
+        ),
         (to_model(experiment, 1).support.tow_speed, 0.2),
     ]
     for found, expected in pairs:
@@ -59,8 +65,8 @@ def test_waveforms(text, kind, tmp_path):
     drive = to_model(
         load(write_small_experiment(tmp_path, ("phase = 0.1", f"phase = 0.1\n{text}")))
     ).drive
-    assert isinstance(drive.front, kind) and isinstance(drive.rear, kind)
-    np.testing.assert_allclose((drive.front.phase, drive.rear.phase), (0.0, 0.1))
+    assert isinstance(drive.waves[0], kind) and isinstance(drive.waves[1], kind)
+    np.testing.assert_allclose((drive.waves[0].phase, drive.waves[1].phase), (0.0, 0.1))
 
 
 def test_recorded_drive_as_set_and_as_measured_pressure(tmp_path):
@@ -70,14 +76,14 @@ def test_recorded_drive_as_set_and_as_measured_pressure(tmp_path):
     old = "frequency = 4.0\namplitude = 150000.0"
     new = 'waveform = "recorded"\ndrive_file = "drive.csv"'
     lagging = to_model(load(write_small_experiment(tmp_path, (old, new))))
-    assert isinstance(lagging.drive.front, Recorded)
-    np.testing.assert_allclose(lagging.drive.rear.values, -1e5 * t)
-    assert lagging.drive.start_front == 0.0 and lagging.pressure_law.k == 0.087
+    assert isinstance(lagging.drive.waves[0], Recorded)
+    np.testing.assert_allclose(lagging.drive.waves[1].values, -1e5 * t)
+    assert lagging.drive.start[0] == 0.0 and lagging.pressure_law.k == 0.087
     direct = to_model(
         load(write_small_experiment(tmp_path, (old, f'{new}\ndrive_is = "measured"')))
     )
     assert isinstance(direct.pressure_law, Ideal)
-    np.testing.assert_allclose(direct.drive.start_front, 5.0)
+    np.testing.assert_allclose(direct.drive.start[0], 5.0)
 
 
 def test_a_recorded_drive_need_not_begin_at_zero(tmp_path):
@@ -91,8 +97,8 @@ def test_a_recorded_drive_need_not_begin_at_zero(tmp_path):
         (tmp_path / "drive.csv").write_text("\n".join(["t_s,p_front_Pa,p_rear_Pa", *rows]))
         drive = to_model(load(path)).drive
         begin = 1e5 + 1e6 * max(first, 0.0)
-        np.testing.assert_allclose((drive.start_front, drive.start_rear), (begin, -1e5))
-        segment = drive.front.segment(np.asarray(0.0), np.asarray(0.004))
+        np.testing.assert_allclose(drive.start, (begin, -1e5))
+        segment = drive.waves[0].segment(np.asarray(0.0), np.asarray(0.004))
         np.testing.assert_allclose(segment.a0, begin)
         np.testing.assert_allclose(segment.b1, begin if first > 0.0 else begin + 4e3)
 

@@ -94,7 +94,7 @@ def test_the_chambers_follow_changes_that_are_closer_than_a_step(tmp_path):
     told = experiment.trials[0].model_copy(update={"amplitude": 1e5})
     drive = read_played(experiment, told).drive
     at = 0.005 * np.arange(140)
-    for wave, sets in ((drive.front, front), (drive.rear, rear)):
+    for wave, sets in zip(drive.waves, (front, rear), strict=True):
         history = pressure_history(FirstOrderLag(jnp.asarray(K)), wave, 0.0, jnp.asarray(at))
         np.testing.assert_allclose(history, lagged(at, t, sets), atol=1e-6)
 
@@ -116,7 +116,7 @@ def test_a_smooth_drive_is_followed_at_any_rate_of_commands(tmp_path, rate):
     played(tmp_path, t, sets, sets)
     drive = read_played(experiment, experiment.trials[0]).drive
     at = 2.5e-3 * np.arange(298)
-    history = pressure_history(FirstOrderLag(jnp.asarray(K)), drive.front, 0.0, jnp.asarray(at))
+    history = pressure_history(FirstOrderLag(jnp.asarray(K)), drive.waves[0], 0.0, jnp.asarray(at))
     assert np.abs(history - lagged(at, t, sets)).max() < (1e-3 if rate == 200.0 else 250.0)
     assert read_played(experiment, experiment.trials[0]).edges is None
 

@@ -196,7 +196,7 @@ def made_up_table(batch, _):
     """Replaces the simulation by the parabola over phase of `PAPERS`."""
     model = batch.model
     bend = 0.1 / np.asarray(model.robot.tail.lengths)
-    return {"speed_m_per_s": 0.3 - bend * (np.asarray(model.drive.rear.phase) - 0.15) ** 2}
+    return {"speed_m_per_s": 0.3 - bend * (np.asarray(model.drive.waves[1].phase) - 0.15) ** 2}
 
 
 def test_an_interrupted_script_resumes_and_writes_all_files(swimmer, tmp_path, capsys, monkeypatch):
