@@ -1,15 +1,17 @@
 """Defines the channels. A channel is the signal of one sensor, with CSV column, units and noise.
 
-All code that reads, simulates, plots or fits sensor data iterates over `CHANNELS`. To add a sensor,
-define a `Channel` and `register` this channel before you load data:
+All code that reads, simulates, plots or fits sensor data iterates over a `ChannelSet`, which
+`channels_of` returns for the chambers of a robot. To add a sensor to every robot, define a
+`Channel` and `register` this channel before you load data:
 
     register(Channel("tail_speed", "tail_speed_m_per_s", "m/s", "tail speed", "m/s", 1.0, observe))
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -56,29 +58,89 @@ class Channel:
     """Returns the reading at t = 0 from the midline (2, nodes) [m]; not used for pressures."""
 
 
-CHANNELS: dict[str, Channel] = {}
-"""All channels by name. Arrays of readings have one row per channel, in the order of this dict."""
+@dataclass(frozen=True)
+class ChannelSet(Mapping[str, Channel]):
+    """The channels of an experiment by name. Arrays of readings have one row per channel."""
 
+    members: tuple[Channel, ...]
 
-def register(channel: Channel) -> Channel:
-    """Adds a channel to `CHANNELS` and returns the channel.
+    def __post_init__(self) -> None:
+        for i, x in enumerate(self.members):
+            others = self.members[:i]
+            if x.name in (y.name for y in others) or x.column in (
+                TIME,
+                *(y.column for y in others),
+            ):
+                known = ", ".join(f"{y.name} ({y.column})" for y in others)
+                raise InputError(
+                    f"channel {x.name} (column {x.column}): another channel has this name or "
+                    f"column; other channels: {known}; choose another name and column"
+                )
 
-    Raises `InputError` if another channel has the same name or column.
-    """
-    taken = {TIME} | {x.column for x in CHANNELS.values()}
-    if channel.name in CHANNELS or channel.column in taken:
-        known = ", ".join(f"{x.name} ({x.column})" for x in CHANNELS.values())
-        raise InputError(
-            f"channel {channel.name} (column {channel.column}): this name or column is already "
-            f"registered; registered channels: {known}; choose another name and column"
+    def __getitem__(self, name: str) -> Channel:
+        return self.members[self.row(name)]
+
+    def __iter__(self) -> Iterator[str]:
+        return (x.name for x in self.members)
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def row(self, name: str) -> int:
+        """Returns the row of a channel in arrays of readings. Raises `KeyError`."""
+        for i, x in enumerate(self.members):
+            if x.name == name:
+                return i
+        raise KeyError(name)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of a measured or simulated CSV file: the time and all channels."""
+        return TIME, *(x.column for x in self.members)
+
+    @property
+    def pressures(self) -> tuple[str, ...]:
+        """Names of the pressure channels, from the head to the tail."""
+        return tuple(x.name for x in self.members if x.kind == "pressure")
+
+    def observe(self, x: Snapshot) -> dict[str, Array]:
+        """Returns the true reading of every channel, in SI units."""
+        return {channel.name: channel.observe(x) for channel in self.members}
+
+    def readings(self, t: Array, true: Mapping[str, Array]) -> Readings:
+        """Returns the series `true` of the channels at times `t` [s], as instruments read them."""
+        pressures = [true[name] for name in self.pressures]
+        empty = jnp.zeros((0, *jnp.shape(t)))
+        return Readings(
+            t, jnp.stack(pressures) if pressures else empty, *(true[name] for name in OF_BODY)
         )
-    CHANNELS[channel.name] = channel
-    return channel
+
+    def recorded(
+        self, effects: tuple[Effect, ...], t: Array, true: dict[str, Array]
+    ) -> dict[str, Array]:
+        """Returns the recorded series (n,) of each channel from the `true` series at `t` (n,) [s].
+
+        `Instrument` effects change the pressures, thrust, recoil and tip.
+        """
+        read = recorded(effects, self.readings(t, true))
+        named = dict(zip(self.pressures, read.pressures, strict=True))
+        return true | named | {name: getattr(read, name) for name in OF_BODY}
 
 
-def _pressure(name: str, label: str, chamber: int) -> Channel:
+@dataclass(frozen=True)
+class ChamberPressure:
+    """Returns the pressure [Pa] of a chamber from a snapshot."""
+
+    chamber: int
+
+    def __call__(self, x: Snapshot) -> Array:
+        return x.chambers.p[self.chamber]
+
+
+def _pressure(chamber: str, index: int) -> Channel:
+    name = f"p_{chamber}"
     return Channel(
-        name, f"{name}_Pa", "Pa", label, "kPa", 1e-3, lambda x: x.chambers.p[chamber],
+        name, f"{name}_Pa", "Pa", f"{chamber} pressure", "kPa", 1e-3, ChamberPressure(index),
         "pressure", "pressure_noise", "pressure", gain=0.002, discrepancy=0.002, digits=".1f",
     )  # fmt: skip
 
@@ -90,34 +152,48 @@ def _force(name: str, observe: Callable[[Snapshot], Array], discrepancy: float) 
     )  # fmt: skip
 
 
+def _lateral_of_tip(midline: np.ndarray) -> float:
+    return midline[1, 0]
+
+
 # Model-discretisation discrepancies (see the glossary) of twelve noise-free trials, in % of rms:
 # pressures 0.05 to 0.3, thrust 5 to 28 (median 7), recoil 0.7 to 2.1, tip 0.1 to 0.9.
-register(_pressure("p_front", "front pressure", 0))
-register(_pressure("p_rear", "rear pressure", 1))
-register(_force("thrust", obs.thrust, 0.07))
-register(_force("recoil", obs.recoil, 0.012))
-register(Channel(
-    "tip", "tip_m", "m", "tip, lateral", "mm", 1e3, obs.tip,
-    "camera", "tip_noise", "tip", gain=0.005, discrepancy=0.005, digits=".7f",
-    start=lambda midline: midline[1, 0],
-))  # fmt: skip
-BUILT_IN = tuple(CHANNELS)
-"""Names of the channels that this file registers; the rig's live stream has the same channels."""
+_BODY = (
+    _force("thrust", obs.thrust, 0.07),
+    _force("recoil", obs.recoil, 0.012),
+    Channel(
+        "tip", "tip_m", "m", "tip, lateral", "mm", 1e3, obs.tip,
+        "camera", "tip_noise", "tip", gain=0.005, discrepancy=0.005, digits=".7f",
+        start=_lateral_of_tip,
+    ),
+)  # fmt: skip
+OF_BODY = tuple(x.name for x in _BODY)
+"""Names of the channels that every robot has, whatever its chambers are."""
+REGISTERED: list[Channel] = []
+"""Channels that `register` added to every experiment."""
 
 
-def channel_columns() -> tuple[str, ...]:
-    """Returns the columns of a measured or simulated CSV file: the time and all channels."""
-    return TIME, *(channel.column for channel in CHANNELS.values())
+def channels_of(chambers: Sequence[str]) -> ChannelSet:
+    """Returns the channels of a robot whose chambers have the names `chambers`.
+
+    Raises `InputError` if two channels have the same name or column.
+    """
+    pressures = (_pressure(name, i) for i, name in enumerate(chambers))
+    return ChannelSet((*pressures, *_BODY, *REGISTERED))
 
 
-def row_of(name: str) -> int:
-    """Returns the row of a channel in arrays of readings: the channel's position in `CHANNELS`."""
-    return list(CHANNELS).index(name)
+def register(channel: Channel) -> Channel:
+    """Adds a channel to every experiment that is loaded from now on, and returns the channel.
+
+    Raises `InputError` if another channel has the same name or column.
+    """
+    ChannelSet((*SLIDER_CHANNELS.members, *REGISTERED, channel))
+    REGISTERED.append(channel)
+    return channel
 
 
-def true_readings(x: Snapshot) -> dict[str, Array]:
-    """Returns the true reading of every channel, in SI units."""
-    return {name: channel.observe(x) for name, channel in CHANNELS.items()}
+SLIDER_CHANNELS = channels_of(("front", "rear"))
+"""The channels of SLIDER; the rig's live stream has the same channels."""
 
 
 def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
@@ -125,14 +201,3 @@ def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
     for effect in of_place(effects, Instrument):
         true = effect.read(true)
     return true
-
-
-def recorded_series(
-    effects: tuple[Effect, ...], t: Array, true: dict[str, Array]
-) -> dict[str, Array]:
-    """Returns the recorded series (n,) of each channel at times `t` (n,) [s] from `true` series.
-
-    `Instrument` effects change only the built-in channels.
-    """
-    read = recorded(effects, Readings(t, *(true[name] for name in BUILT_IN)))
-    return true | dict(zip(BUILT_IN, read[1:], strict=True))

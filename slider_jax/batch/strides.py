@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from slider_jax import observables as obs
 from slider_jax.beam.parameters import Numerics
-from slider_jax.channels import true_readings
+from slider_jax.channels import SLIDER_CHANNELS, ChannelSet
 from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
@@ -45,6 +45,7 @@ class Plan(NamedTuple):
     strides: int
     numerics: Numerics
     scheme: Scheme = SDIRK2
+    channels: ChannelSet = SLIDER_CHANNELS
 
 
 class Programs(NamedTuple):
@@ -54,9 +55,9 @@ class Programs(NamedTuple):
     stride: Callable[[BatchRobot, Array, Carry], tuple[Carry, dict[str, Array]]]
 
 
-def saved_quantities(x: Snapshot) -> dict[str, Array]:
-    """Returns the saved quantities: `true_readings`, `power` [W] and `midline` (2, nodes) [m]."""
-    return true_readings(x) | {
+def saved_quantities(channels: ChannelSet, x: Snapshot) -> dict[str, Array]:
+    """Returns the saved quantities: true readings, `power` [W] and `midline` (2, nodes) [m]."""
+    return channels.observe(x) | {
         "power": jnp.sum(obs.chamber_power(x)),
         "midline": obs.midline(x) - x.head[:, None],
     }
@@ -68,7 +69,8 @@ def one_stride(
     """Simulates stride `number` (first: 0) of a robot; returns the final carry and the series."""
     steps, f = plan.steps_per_stride, robot.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
-    out = continued(carry, robot.model, times, saved_quantities, plan.numerics, plan.scheme)
+    save = ft.partial(saved_quantities, plan.channels)
+    out = continued(carry, robot.model, times, save, plan.numerics, plan.scheme)
     return out.final, {"t": out.t} | out.saved
 
 

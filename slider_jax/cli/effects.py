@@ -123,7 +123,6 @@ def _table(rows: dict[str, tuple[str, str]]) -> list[str]:
 
 def _draw(name: str, out: Path, path: Path | None) -> list[str]:
     """Writes the figure of an effect and returns text lines with the changes of the readings."""
-    from slider_jax.channels import CHANNELS
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load
     from slider_jax.io.files import staged
@@ -143,7 +142,7 @@ def _draw(name: str, out: Path, path: Path | None) -> list[str]:
         rms = found.rms(trace)
         changes = [
             f"{x.label} {x.plot_factor * rms[x.column]:.4g} {x.plot_unit}"
-            for x in CHANNELS.values()
+            for x in found.run.prepared.channels.values()
             if rms[x.column]
         ]
         lines.append(f"  {trace.label}: {'; '.join(changes) or 'none'}")

@@ -51,7 +51,7 @@ def simulate(
             if value:
                 raise InputError(f"{name}: not allowed for a log; omit this option")
         return function_of(SIMULATE_LOG)(input, model, out, drive, plot)
-    from slider_jax.channels import CHANNELS, TIME
+    from slider_jax.channels import TIME
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load
     from slider_jax.experiment.prepare import prepare
@@ -72,7 +72,8 @@ def simulate(
     refuse_own_folder(out, experiment.folder)
     # All files are checked before the first simulation.
     prepared = [prepare(experiment, trial) for trial in experiment.trials]
-    formats = {TIME: ".9g"} | {x.column: x.digits for x in CHANNELS.values()}
+    channels = experiment.channels
+    formats = {TIME: ".9g"} | {x.column: x.digits for x in channels.values()}
     results, shape = [], plot or animate
     with staged(out) as stage:
         for each in prepared:
@@ -89,15 +90,13 @@ def simulate(
 
                 with Progress(file, "frame", "film of the last two strides") as progress:
                     animate_run(run, stage, progress.to)
-            for line in _lines(result, time.perf_counter() - started):
+            for line in _lines(result, channels, time.perf_counter() - started):
                 print(f"{file}  {line}", file=sys.stderr)
         write_json(stage / "summary.json", simulation_summary(experiment, results, input, model))
     print(f"wrote {len(results)} trials and summary.json to {out}", file=sys.stderr)
 
 
-def _lines(result, seconds: float) -> list[str]:
-    from slider_jax.channels import CHANNELS
-
+def _lines(result, channels, seconds: float) -> list[str]:
     frequency = result["frequency_Hz"]
     lines = [
         f"{f'{frequency:4.1f} Hz' if frequency else 'recorded'}  "
@@ -109,7 +108,7 @@ def _lines(result, seconds: float) -> list[str]:
     if off := result["rmse_to_measured"]:
         errors = [
             f"{x.label} {x.plot_factor * off[x.column]:.3g} {x.plot_unit}"
-            for x in CHANNELS.values()
+            for x in channels.values()
             if x.column in off
         ]
         lines.append(f"rms error: {', '.join(errors)}")

@@ -292,14 +292,12 @@ class WaterMotion(Effect):
 
 
 class Readings(NamedTuple):
-    """Sensor readings at n evenly spaced times; each field has the shape (n,)."""
+    """Sensor readings at n evenly spaced times; the last axis of each field is the time."""
 
     t: Array
     """Time [s]."""
-    p_front: Array
-    """Front pressure [Pa]."""
-    p_rear: Array
-    """Rear pressure [Pa]."""
+    pressures: Float[Array, "chambers n"]
+    """Pressure [Pa] of each chamber."""
     thrust: Array
     """Thrust [N]."""
     recoil: Array
@@ -316,7 +314,7 @@ class Instrument(Effect):
         """Returns the readings that the sensors record instead of the `true` readings."""
 
     def read_sample(self, true: Readings, read: Readings) -> Readings:
-        """Returns the readings (scalars) that the sensors record for the last sample of `true`.
+        """Returns the readings that the sensors record for the last sample of `true`.
 
         `read` contains the recorded readings of the previous samples. An instrument must override
         this method if a recorded reading depends on previously recorded readings.
@@ -325,8 +323,8 @@ class Instrument(Effect):
 
 
 def last_sample(readings: Readings) -> Readings:
-    """Returns the last sample of a series, as scalars."""
-    return Readings(*(x[-1] for x in readings))
+    """Returns the last sample of a series, without the axis of the time."""
+    return Readings(*(x[..., -1] for x in readings))
 
 
 def of_place(effects: tuple[Effect, ...], place: type) -> tuple:

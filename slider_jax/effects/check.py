@@ -32,6 +32,7 @@ from slider_jax.effects.base import (
     Mounting,
     Readings,
     WaterMotion,
+    last_sample,
 )
 from slider_jax.errors import InputError
 
@@ -159,10 +160,10 @@ def _velocity(effect: WaterMotion, moving: Array) -> Response:
 
 def _read(effect: Instrument, moving: Array) -> Response:
     t = DT * np.arange(32.0)
-    sizes = {"p_front": 2e5, "p_rear": 1.5e5, "thrust": 0.1, "recoil": 1.0, "tip": 0.02}
-    series = [moving * (x * np.sin(i + 30.0 * t)) for i, x in enumerate(sizes.values())]
-    true = Readings(jnp.asarray(t), *series)
-    before, last = Readings(*(x[:-1] for x in true)), Readings(*(x[-1] for x in true))
+    sizes = (2e5, 1.5e5, 0.1, 1.0, 0.02)
+    series = [moving * (x * np.sin(i + 30.0 * t)) for i, x in enumerate(sizes)]
+    true = Readings(jnp.asarray(t), jnp.stack(series[:CHAMBERS]), *series[CHAMBERS:])
+    before, last = Readings(*(x[..., :-1] for x in true)), last_sample(true)
     return Response((effect.read(true), effect.read_sample(true, before)), (true, last))
 
 

@@ -25,7 +25,7 @@ from slider_jax.actuation import (
 )
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics, Robot, Scalar
-from slider_jax.channels import CHANNELS, TIME
+from slider_jax.channels import TIME, ChannelSet, channels_of
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.time_schemes import SCHEMES, Scheme
 from slider_jax.effects import Effect, NormalDrag, ReactiveForce
@@ -54,6 +54,11 @@ class Experiment(ExperimentTable):
     def profiles(self) -> list[dict[str, Any]]:
         """Paths and SHA-256 digests of the profiles of the robot's segments."""
         return input_files(*(self.folder / name for name in self.robot.files))
+
+    @property
+    def channels(self) -> ChannelSet:
+        """The channels of the experiment's sensors."""
+        return channels_of(self.robot.chamber_names)
 
     def robot_model(self) -> Robot:
         """Returns the robot. Raises `InputError` if the profile of a segment is invalid."""
@@ -182,7 +187,7 @@ def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, .
 def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, ...]:
     """Returns the recorded pressures of the chambers, checked for duration, spacing and unit."""
     path = experiment.folder / str(trial.drive_file)
-    names = ("p_front_Pa", "p_rear_Pa")
+    names = tuple(f"p_{name}_Pa" for name in experiment.robot.chamber_names)
     columns = read_csv(path, (TIME, *names))
     times = columns[TIME]
     spacing = np.diff(times)
@@ -291,7 +296,7 @@ def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray]
     path = experiment.folder / trial.file
     if not path.exists():
         return None
-    columns = read_csv(path, (TIME,), blank=[x.column for x in CHANNELS.values()])
+    columns = read_csv(path, (TIME,), blank=experiment.channels.columns[1:])
     times = columns["t_s"]
     if times[0] < 0.0 or times[-1] > trial.duration * (1.0 + 1e-6):
         raise InputError(

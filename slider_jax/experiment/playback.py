@@ -5,6 +5,7 @@ the set pressure by a different time. If a step of 400 kPa is 1 ms late, the pre
 several kilopascals, many times the sensor noise. The actual times remove this error.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,9 +19,15 @@ from slider_jax.experiment.load import Experiment, check_pascal
 from slider_jax.experiment.schema import Trial
 from slider_jax.io.csv import read_csv
 
-PLAYED_COLUMNS = ("t_s", "set_front_Pa", "set_rear_Pa")
-"""Columns of a .played.csv file. The signed set pressures of a row apply from the row's time until
-the time of the next row. The time of the last row is the end of the drive."""
+
+def played_columns(chambers: Sequence[str]) -> tuple[str, ...]:
+    """Returns the columns of a .played.csv file: the time and the set pressure of each chamber."""
+    return "t_s", *(f"set_{name}_Pa" for name in chambers)
+
+
+PLAYED_COLUMNS = played_columns(("front", "rear"))
+"""Columns of SLIDER's .played.csv files. The set pressures of a row apply from the row's time until
+the time of the next row. The last row is the end of the drive."""
 LEAST_ROWS = 64
 """Smallest number of samples in a `Held` wave. Each wave is padded to a power of two, so that
 trials with different numbers of samples share compiled programs."""
@@ -49,24 +56,25 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
     path = experiment.folder / f"{Path(trial.file).stem}.played.csv"
     if not path.exists() or trial.drive_is == "measured":
         return None
-    columns = read_csv(path, PLAYED_COLUMNS)
-    t, sets = columns["t_s"], [columns[name] for name in PLAYED_COLUMNS[1:]]
+    names = played_columns(experiment.robot.chamber_names)
+    columns = read_csv(path, names)
+    t, sets = columns["t_s"], [columns[name] for name in names[1:]]
     advice = "delete the .played.csv file to use the drive of the experiment file"
     if t[0] > 1e-9 or t[-1] < trial.duration * (1.0 - 1e-6):
         raise InputError(
             f"{path}: t_s covers {t[0]:g} to {t[-1]:g} s, but the trial {trial.file} lasts from "
             f"0 to {trial.duration:g} s; {advice}"
         )
-    check_pascal(path, columns, PLAYED_COLUMNS[1:])
-    front, given = float(np.abs(sets[0]).max()), trial.amplitude
-    if trial.waveform == "square" and given is not None and abs(front - given) > 1e-3 * given + 1.0:
+    check_pascal(path, columns, names[1:])
+    first, given = float(np.abs(sets[0]).max()), trial.amplitude
+    if trial.waveform == "square" and given is not None and abs(first - given) > 1e-3 * given + 1.0:
         raise InputError(
-            f"{path}: the front chamber's amplitude is {front:g} Pa, but {given:g} Pa in the trial "
+            f"{path}: the first chamber's amplitude is {first:g} Pa, but {given:g} Pa in the trial "
             f"{trial.file}; correct the trial's amplitude, or {advice}"
         )
     if trial.waveform == "square":
         waves = [_held(t, x) for x in sets]
-        edges = t[np.union1d(*(np.flatnonzero(np.diff(x)) + 1 for x in sets))]
+        edges = t[np.unique(np.concatenate([np.flatnonzero(np.diff(x)) + 1 for x in sets]))]
     else:
         waves, edges = [_held(*_averaged(t, x)) for x in sets], None
     return PlayedDrive(Drive(tuple(waves), jnp.zeros(len(waves))), edges)

@@ -6,7 +6,7 @@ import numpy as np
 
 from slider_jax.actuation import Recorded
 from slider_jax.beam.parameters import Numerics
-from slider_jax.channels import CHANNELS, TIME, Channel
+from slider_jax.channels import TIME, ChannelSet
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.time_schemes import Scheme
 from slider_jax.experiment.load import Experiment, read_measured, to_model, to_numerics
@@ -94,7 +94,7 @@ class PreparedTrial:
     """The drive that the valves followed; None if the model has the experiment file's drive."""
     measured: dict[str, np.ndarray] | None
     """Columns of the trial's measured file, or None if this file does not exist."""
-    channels: tuple[Channel, ...]
+    channels: ChannelSet
 
 
 def prepare(
@@ -131,7 +131,7 @@ def prepare(
         times = recorded[0]
         spacing = (times[-1] - times[0]) / (len(times) - 1)
     grid = step_grid(trial, longest, trial.duration, spacing, played)
-    channels = tuple(CHANNELS.values())
+    channels = experiment.channels
     mesh = to_numerics(experiment)
     return PreparedTrial(trial, model, *mesh, grid, sample_times, played, columns, channels)
 

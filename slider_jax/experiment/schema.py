@@ -69,6 +69,11 @@ class ChambersTable(Table):
     water_density: WaterDensity = 1000.0
 
     @property
+    def chamber_names(self) -> tuple[str, ...]:
+        """Names of the chambers, from the head to the tail."""
+        return "front", "rear"
+
+    @property
     def chambers(self) -> tuple[tuple[float, float], ...]:
         """Distances [m] of each chamber's near and far end from the head."""
         return self.front_chamber, self.rear_chamber

@@ -61,23 +61,24 @@ def check_instrument(effect: Instrument, h: float, samples: int) -> None:
     """
     t = jnp.asarray(h * np.arange(2.0 * samples + 50.0))
     noise = np.random.default_rng(0).normal(size=(5, len(t)))
-    series = Readings(t, *jnp.asarray(noise))
+    series = Readings(t, jnp.asarray(noise[:2]), *jnp.asarray(noise[2:]))
 
     @jax.jit
     def both(effect, series):
-        first, rest = (jax.tree.map(lambda x, at=at: x[at], series) for at in (0, slice(1, None)))
+        first = jax.tree.map(lambda x: x[..., 0], series)
+        rest = jax.tree.map(lambda x: jnp.moveaxis(x[..., 1:], -1, 0), series)
 
         def body(past, true):
             now, past = read_now(effect, past, true)
             return past, now
 
         live = jax.lax.scan(body, constant_past(effect, first, h, samples), rest)[1]
-        return effect.read(series), live
+        return effect.read(series), jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), live)
 
     whole, live = both(effect, series)
     for expected, reading in zip(whole[1:], live[1:], strict=True):
         # The last samples are excluded: their delayed readings differ, since no samples follow.
-        error = np.abs(np.asarray(reading) - np.asarray(expected)[1:])[:-4]
+        error = np.abs(np.asarray(reading) - np.asarray(expected)[..., 1:])[..., :-4]
         if not error.max() < 1e-9 * np.abs(expected).max():
             raise InputError(
                 f"effects: {effect.name()}: in real time only values of the last {h * samples:g} s "

@@ -15,11 +15,12 @@ from jaxtyping import Array, Float
 from slider_jax.actuation import FirstOrderLag, Held
 from slider_jax.beam.parameters import grid_of
 from slider_jax.beam.state import node_positions
-from slider_jax.channels import BUILT_IN, true_readings
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, at_rest
 from slider_jax.effects import Command, Instrument, Readings, of_place
+from slider_jax.effects.base import last_sample
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.schema import Trial
@@ -146,11 +147,11 @@ class Plant:
         grid = grid_of(model.body, self._numerics)
         line = node_positions(carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid)
         zero = jnp.zeros(())
-        read = Readings(t, zero, zero, zero, zero, line[1, 0])
+        read = Readings(t, jnp.zeros(2), zero, zero, line[1, 0])
         pasts = []
         for effect in of_place(model.effects, Instrument):
             pasts.append(constant_past(effect, read, self.step, self._samples))
-            read = jax.tree.map(lambda x: x[-1], pasts[-1].read)
+            read = last_sample(pasts[-1].read)
         state = PlantState(carry, jnp.zeros((self._samples, 2)), jnp.zeros(2), tuple(pasts))
         return state, _pack(read, state)
 
@@ -163,8 +164,9 @@ class Plant:
         drive = Drive(tuple(Held(times, x) for x in commanded.T))
         driven = eqx.tree_at(lambda m: m.drive, _with_faults(model, faults), drive)
         grid = TimeGrid(self.step, 1, t)
-        run = continued(state.carry, driven, grid, true_readings, self._numerics, self._scheme)
-        read = Readings(run.t[0], *(run.saved[name][0] for name in BUILT_IN))
+        observe = SLIDER_CHANNELS.observe
+        run = continued(state.carry, driven, grid, observe, self._numerics, self._scheme)
+        read = last_sample(SLIDER_CHANNELS.readings(run.t, run.saved))
         pasts, instruments = [], of_place(model.effects, Instrument)
         for effect, past in zip(instruments, state.instruments, strict=True):
             read, past = read_now(effect, past, read)
@@ -184,7 +186,7 @@ def _with_faults(model: Model, faults: Faults) -> Model:
 
 def _pack(read: Readings, state: PlantState) -> Float[Array, "8"]:
     """Returns readings, common pressures and `ok` as one array, so a step copies only one array."""
-    values = jnp.stack([*read[1:], *state.shared])
+    values = jnp.stack([*read.pressures, *read[2:], *state.shared])
     ok = state.carry.ok & jnp.all(jnp.isfinite(values))
     return jnp.concatenate([values, ok.astype(values.dtype)[None]])
 

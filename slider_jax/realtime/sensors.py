@@ -20,20 +20,20 @@ class Past(NamedTuple):
 
 def constant_past(effect: Instrument, first: Readings, h: float, samples: int) -> Past:
     """Returns an instrument's past with constant input: `samples` samples, `h` [s] apart."""
-    held = jax.tree.map(lambda x: jnp.broadcast_to(x, (samples,)), first)
+    held = jax.tree.map(lambda x: jnp.stack([x] * samples, axis=-1), first)
     shown = held._replace(t=first.t + h * jnp.arange(1.0 - samples, 1.0))
     return Past(shown, effect.read(shown))
 
 
 def read_now(effect: Instrument, past: Past, true: Readings) -> tuple[Readings, Past]:
-    """Returns the instrument's reading for the next input `true` (scalars), and the new past."""
+    """Returns the instrument's reading for the next input `true`, and the new past."""
     shown = jax.tree.map(_append, past.shown, true)
     now = effect.read_sample(shown, past.read)
     return now, Past(shown, jax.tree.map(_append, past.read, now))
 
 
 def _append(series: Array, x: Array) -> Array:
-    return jnp.concatenate([series[1:], x[None]])
+    return jnp.concatenate([series[..., 1:], x[..., None]], axis=-1)
 
 
 class SensorReading(NamedTuple):

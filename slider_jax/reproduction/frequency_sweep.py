@@ -18,7 +18,7 @@ from slider_jax.batch.strides import (
     steady_quantities,
 )
 from slider_jax.beam.parameters import Numerics, Robot, uniform_robot
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import SLIDER_CHANNELS
 
 SHOWN_FREQUENCIES = (1.0, 4.8)
 """Frequencies [Hz] of the paper's Figs. 5 and 6."""
@@ -94,7 +94,9 @@ def run_frequency_sweep(
     shown = {}
     for index, frequency in enumerate(frequencies):
         if np.isclose(frequency, SHOWN_FREQUENCIES).any():
-            times, *readings = (np.concatenate(runs[name][index]) for name in ("t", *CHANNELS))
-            channels = dict(zip(CHANNELS, readings, strict=True))
+            times, *readings = (
+                np.concatenate(runs[name][index]) for name in ("t", *SLIDER_CHANNELS)
+            )
+            channels = dict(zip(SLIDER_CHANNELS, readings, strict=True))
             shown[float(frequency)] = FrequencySeries(times, channels, runs["midline"][index])
     return FrequencySweep(table, runs["thrust"].mean(axis=2), shown, runs["ok"])

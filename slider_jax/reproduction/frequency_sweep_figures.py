@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from slider_jax import paper
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.reproduction.frequency_sweep import (
     FrequencySeries,
@@ -59,7 +59,7 @@ def stride_in_detail(
     t, first = series.t[shown], None
     for place, names in enumerate((("p_front", "p_rear"), ("tip",), ("thrust",), ("recoil",))):
         ax = first = figure.add_subplot(grid[1 + place // 2, place % 2], sharex=first)
-        channel = CHANNELS[names[0]]
+        channel = SLIDER_CHANNELS[names[0]]
         drawn = np.transpose([channel.plot_factor * series.channels[name][shown] for name in names])
         lines = ax.plot(t, drawn, lw=1.3)
         ax.axhline(0.0, color="k", lw=0.4)

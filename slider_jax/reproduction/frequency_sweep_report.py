@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from slider_jax import paper
-from slider_jax.channels import CHANNELS, TIME
+from slider_jax.channels import SLIDER_CHANNELS, TIME
 from slider_jax.io.files import staged, versions, write_csv, write_json
 from slider_jax.reproduction.frequency_sweep import FrequencySweep, FrequencySweepSettings
 from slider_jax.reproduction.frequency_sweep_figures import (
@@ -35,7 +35,7 @@ def write_frequency_sweep(
         thrust_against_frequency(sweep, settings, stage / "thrust_against_frequency.png")
         for frequency, series in sweep.shown.items():
             name = f"{frequency:g}".replace(".", "p") + "Hz"
-            readings = {x.column: series.channels[x.name] for x in CHANNELS.values()}
+            readings = {x.column: series.channels[x.name] for x in SLIDER_CHANNELS.values()}
             write_csv(stage / f"series_{name}.csv", {TIME: series.t} | readings)
             stride_in_detail(frequency, series, settings, stage / f"stride_{name}.png")
         record = {

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_film
 from slider_jax.simulation.plots import last_strides, run_title
 from slider_jax.simulation.trial import TrialRun
@@ -60,7 +59,7 @@ def _scene(run: TrialRun, steps: np.ndarray):
 
     span = slice(steps[0], steps[-1] + 1)
     for axis, name, colour in ((below, "thrust", "C0"), (below.twinx(), "recoil", "C1")):
-        channel = CHANNELS[name]
+        channel = run.prepared.channels[name]
         axis.plot(run.t[span], channel.plot_factor * run.series[name][span], colour, lw=1.2)
         axis.set_ylabel(f"{channel.label} ({channel.plot_unit})", color=colour)
         axis.margins(x=0.0)

@@ -9,7 +9,6 @@ import numpy as np
 
 from slider_jax import paper
 from slider_jax.beam.parameters import SLIDER
-from slider_jax.channels import CHANNELS
 from slider_jax.effects import Prior
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import SolverError
@@ -26,7 +25,7 @@ MAX_HALVINGS = 3
 """Largest number of halvings of a parameter's distance from its null after failed simulations."""
 
 Series = dict[str, np.ndarray]
-"""Readings (n,) of a stride in SI units, by CSV column of `CHANNELS`."""
+"""Readings (n,) of a stride in SI units, by CSV column of the channels."""
 
 
 class Trace(NamedTuple):
@@ -148,13 +147,15 @@ def _last_stride(run: TrialRun) -> slice:
 
 
 def _cut(run: TrialRun, shown: slice) -> Series:
-    return {channel.column: run.series[name][shown] for name, channel in CHANNELS.items()}
+    channels = run.prepared.channels
+    return {channel.column: run.series[name][shown] for name, channel in channels.items()}
 
 
 def plot_signature(shown: EffectSignature, path: Path) -> None:
     """Draws each channel without and with the effect (left), and the difference (right)."""
-    figure, axes = new_figure(len(CHANNELS), 2, figsize=(11, 10), sharex=True)
-    for (left, right), channel in zip(axes, CHANNELS.values(), strict=True):
+    channels = shown.run.prepared.channels
+    figure, axes = new_figure(len(channels), 2, figsize=(11, 2.0 * len(channels)), sharex=True)
+    for (left, right), channel in zip(axes, channels.values(), strict=True):
         name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor
         left.plot(shown.phase, factor * shown.without[name], color="0.65", lw=2.2, label="without")
         sizes = []

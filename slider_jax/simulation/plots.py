@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.simulation.trial import TrialRun
 
@@ -35,8 +34,10 @@ def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None
 def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
     """Plots all simulated channels against time; measured samples are grey."""
     measured = run.prepared.measured or {}
-    figure, axes = new_figure(len(CHANNELS), 1, figsize=(9, 10), sharex=True)
-    for ax, channel in zip(axes, CHANNELS.values(), strict=True):
+    channels = run.prepared.channels
+    size = (9, 2.0 * len(channels))
+    figure, axes = new_figure(len(channels), 1, figsize=size, sharex=True)
+    for ax, channel in zip(axes, channels.values(), strict=True):
         name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor
         ax.plot(run.columns["t_s"], factor * run.columns[name], "C0", lw=1.0, label="simulated")
         if name in rmse:

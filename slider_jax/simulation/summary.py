@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from slider_jax.channels import CHANNELS
 from slider_jax.experiment.load import Experiment, drag_and_added_mass
 from slider_jax.io.files import input_file, provenance
 from slider_jax.simulation.trial import TrialRun
@@ -73,7 +72,7 @@ def rmse_to_measured(run: TrialRun) -> dict[str, float] | None:
     columns = run.prepared.measured
     if columns is None:
         return None
-    names = [channel.column for channel in CHANNELS.values()]
+    names = run.prepared.channels.columns[1:]
     errors = {name: run.columns[name] - columns[name] for name in names if name in columns}
     return {
         name: float(np.sqrt(np.nanmean(error**2)))

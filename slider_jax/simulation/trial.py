@@ -13,7 +13,7 @@ from jaxtyping import Array
 from slider_jax import observables as obs
 from slider_jax.beam.parameters import Numerics, grid_of
 from slider_jax.beam.state import node_positions, to_plane
-from slider_jax.channels import TIME, Channel, recorded_series
+from slider_jax.channels import TIME, ChannelSet
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
@@ -37,11 +37,11 @@ class SavedSeries:
     `moment` (nodes,) [N m], and `force` (2, cells), the effects' force per length [N/m].
     """
 
-    channels: tuple[Channel, ...]
+    channels: ChannelSet
     shape: bool = False
 
     def __call__(self, x: Snapshot) -> dict[str, Array]:
-        saved = {channel.name: channel.observe(x) for channel in self.channels}
+        saved = self.channels.observe(x)
         if not self.shape:
             return saved
         section = x.section()
@@ -54,8 +54,8 @@ class SavedSeries:
 
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
         """Returns the series' initial values for the `midline` (2, nodes) [m], without forces."""
-        values = {x.name: np.asarray(x.start(midline), float) for x in self.channels}
-        pressures = [x.name for x in self.channels if x.kind == "pressure"]
+        values = {k: np.asarray(x.start(midline), float) for k, x in self.channels.items()}
+        pressures = self.channels.pressures
         start = np.broadcast_to(model.drive.start, len(pressures))
         values |= dict(zip(pressures, start, strict=True))
         if self.shape:
@@ -179,14 +179,16 @@ def simulate_prepared(
         for name, first in save.start(model, np.asarray(line)).items()
     }
     t, at = grid.times, prepared.sample_times
-    true = {x.name: jnp.asarray(series[x.name]) for x in prepared.channels}
-    read = recorded_series(model.effects, jnp.asarray(t), true)
+    true = {name: jnp.asarray(series[name]) for name in prepared.channels}
+    read = prepared.channels.recorded(model.effects, jnp.asarray(t), true)
     series |= {name: np.asarray(values) for name, values in read.items()}
     bad = ~np.isfinite(series["recoil"])
     if bad.any():
         raise _failure(prepared, float(t[np.argmax(bad)]))
     edges = grid.edges
-    columns = {x.column: sample_series(t, series[x.name], at, edges) for x in prepared.channels}
+    columns = {
+        x.column: sample_series(t, series[name], at, edges) for name, x in prepared.channels.items()
+    }
     return TrialRun(prepared, series, {TIME: at} | columns, int(carry.factorisations))
 
 

@@ -169,7 +169,7 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, BatchRobot]:
         steps = POSES * max(2, int(np.ceil(1.0 / (f * values["numerics.step"] * POSES) - 1e-9)))
     # The given robot sets the number of cells, so that robots of all lengths share a program.
     meshed = experiment.model_copy(update={"robot": sweep.experiment.robot})
-    plan = Plan(steps, sweep.strides, *to_numerics(meshed))
+    plan = Plan(steps, sweep.strides, *to_numerics(meshed), meshed.channels)
     model = to_model(experiment, sweep.trial)
     return plan, BatchRobot(to_swimmer(model) if sweep.swim else model, jnp.asarray(f, float))
 

@@ -177,8 +177,9 @@ def compile_swim(
     plan: Plan, chunk: BatchRobot
 ) -> Callable[[BatchRobot], tuple[Performance, Array]]:
     """Returns a compiled function that maps robots, stacked like `chunk`, to (performance, ok)."""
-    steps, _, numerics, scheme = plan
-    search = SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
+    search = SteadySettings(
+        steps_per_stride=plan.steps_per_stride, numerics=plan.numerics, scheme=plan.scheme
+    )
     one = jax.vmap(lambda robot: steady_stride(robot.model, robot.frequency, search)[1:])
     return jax.jit(one).lower(chunk).compile()
 

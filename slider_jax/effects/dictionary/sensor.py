@@ -7,8 +7,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from slider_jax.actuation.waveform import rear_of
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Curve, Instrument, Readings, parameter, shape_parameter
+from slider_jax.effects.base import (
+    Curve,
+    Instrument,
+    Readings,
+    mean_of_others,
+    parameter,
+    shape_parameter,
+)
 from slider_jax.effects.functions import (
     MEMORY_TIMES,
     WHY_FREQUENCY,
@@ -48,21 +56,21 @@ OF_GAIN = Curve("time t", "s", "change of the gain", "-")
 
 
 class Sensor(NamedTuple):
-    """Fields of `Readings` that one kind of sensor records, and the scale of its errors."""
+    """Field of `Readings` that one kind of sensor records, and the scale of its errors."""
 
-    names: tuple[str, ...]
+    name: str
     scale: float
     """Typical reading, in the unit of the sensor. All parameters are divided by this scale."""
 
     def of(self, x: Readings) -> Array:
-        """Returns the readings (fields, n) of the sensor, divided by its scale."""
-        return jnp.stack([getattr(x, name) for name in self.names]) / self.scale
+        """Returns the readings (sensors, n) of the kind, divided by their scale."""
+        return jnp.atleast_2d(getattr(x, self.name)) / self.scale
 
 
-PRESSURE = Sensor(("p_front", "p_rear"), 100e3)
-THRUST = Sensor(("thrust",), 0.2)
-RECOIL = Sensor(("recoil",), 1.0)
-TIP = Sensor(("tip",), 0.02)
+PRESSURE = Sensor("pressures", 100e3)
+THRUST = Sensor("thrust", 0.2)
+RECOIL = Sensor("recoil", 1.0)
+TIP = Sensor("tip", 0.02)
 
 
 class SensorTerm(Instrument):
@@ -77,25 +85,34 @@ class SensorTerm(Instrument):
         """Returns f for readings z (n,) of the sensor, divided by their scale."""
 
     def read(self, true):
-        names, scale = self.sensor()
-        series = {name: getattr(true, name) for name in names}
-        return true._replace(
-            **{name: y + scale * self.change(y / scale, true) for name, y in series.items()}
-        )
+        name, scale = self.sensor()
+        y = getattr(true, name)
+
+        def one(y):
+            return y + scale * self.change(y / scale, true)
+
+        return true._replace(**{name: one(y) if y.ndim == true.t.ndim else jax.vmap(one)(y)})
+
+
+def _in_chamber(rear: float, read: Readings, true: Readings) -> Readings:
+    """Returns `read`, with the `true` pressures in all chambers but that of the order `rear`."""
+    here = rear_of(true.pressures.shape[0]) == rear
+    pressures = jnp.where(here[:, None], read.pressures, true.pressures)
+    return read._replace(pressures=pressures)
 
 
 class FrontSensorTerm(SensorTerm):
     """A term of the pressure sensors that changes only the front pressure."""
 
     def read(self, true):
-        return super().read(true)._replace(p_rear=true.p_rear)
+        return _in_chamber(0.0, super().read(true), true)
 
 
 class RearReading:
     """The sensor of the rear pressure; only its reading changes."""
 
     def read(self, true):
-        return super().read(true)._replace(p_front=true.p_front)  # type: ignore[misc]
+        return _in_chamber(1.0, super().read(true), true)  # type: ignore[misc]
 
 
 class OfPressure:
@@ -426,9 +443,9 @@ class PressureReadingMemory(OfPressure, SensorMemory):
 
 
 class PressureReadingOfOther(OfPressure, SensorPowers):
-    """An error of each pressure sensor that is a function of the other chamber's pressure.
+    """An error of each pressure sensor that is a function of the other chambers' pressure.
 
-    f is a sum of q, |q| and q^2. q is the other chamber's pressure divided by 100 kPa.
+    f is a sum of q, |q| and q^2. q is the mean pressure of the other chambers divided by 100 kPa.
     """
 
     title = "error of the pressure sensors that depends on the other chamber's pressure"
@@ -444,9 +461,9 @@ class PressureReadingOfOther(OfPressure, SensorPowers):
         return self.total(self.basis(z))
 
     def read(self, true):
-        front, rear = self.state(true)
-        of_rear, of_front = (PRESSURE.scale * self.change(z, true) for z in (rear, front))
-        return true._replace(p_front=true.p_front + of_rear, p_rear=true.p_rear + of_front)
+        others = mean_of_others(self.state(true).T).T
+        pressures = true.pressures + PRESSURE.scale * self.change(others, true)
+        return true._replace(pressures=pressures)
 
 
 class PressureReadingOfRate(OfPressure, SensorOfRate):

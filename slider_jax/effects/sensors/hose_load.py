@@ -1,5 +1,7 @@
 """Hoses that push on the force sensor."""
 
+import jax.numpy as jnp
+
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
 
@@ -7,10 +9,10 @@ from slider_jax.effects.base import Instrument, parameter
 class HoseLoad(Instrument):
     """Hoses under pressure straighten and push on the force sensor.
 
-        thrust_read = thrust + a (p_front + p_rear),    recoil_read = recoil + b (p_front + p_rear)
+        thrust_read = thrust + a p,    recoil_read = recoil + b p
 
-    Source: Bourdon's tube, Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill,
-    ch. 6.
+    p is the sum of the pressures. Source: Bourdon's tube, Doebelin, E. O. (2003), Measurement
+    Systems, 5th ed., McGraw-Hill, ch. 6.
     """
 
     title = "the hoses push on the force sensor"
@@ -27,7 +29,7 @@ class HoseLoad(Instrument):
     """b, additional recoil per pressure."""
 
     def read(self, true):
-        p = true.p_front + true.p_rear
+        p = jnp.sum(true.pressures, axis=0)
         return true._replace(
             thrust=true.thrust + self.along * p, recoil=true.recoil + self.across * p
         )

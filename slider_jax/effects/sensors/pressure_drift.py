@@ -24,5 +24,4 @@ class PressureDrift(Instrument):
     """r, drift of the zeros."""
 
     def read(self, true):
-        drift = self.rate * true.t
-        return true._replace(p_front=true.p_front + drift, p_rear=true.p_rear + drift)
+        return true._replace(pressures=true.pressures + self.rate * true.t)

@@ -5,7 +5,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class PressureGain(Instrument):
-    """The readings of front and rear pressure are too large by the same factor.
+    """The readings of all pressures are too large by the same factor.
 
         p_read = (1 + g) p
 
@@ -23,5 +23,4 @@ class PressureGain(Instrument):
     """g, relative error of the sensitivity."""
 
     def read(self, true):
-        g = self.gain
-        return true._replace(p_front=(1.0 + g) * true.p_front, p_rear=(1.0 + g) * true.p_rear)
+        return true._replace(pressures=(1.0 + self.gain) * true.pressures)

@@ -5,7 +5,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class PressureOffset(Instrument):
-    """The readings of front and rear pressure are too large by the same pressure p_0.
+    """The readings of all pressures are too large by the same pressure p_0.
 
         p_read = p + p_0
 
@@ -21,4 +21,4 @@ class PressureOffset(Instrument):
     """p_0, zero error [Pa]."""
 
     def read(self, true):
-        return true._replace(p_front=true.p_front + self.offset, p_rear=true.p_rear + self.offset)
+        return true._replace(pressures=true.pressures + self.offset)

@@ -1,7 +1,6 @@
 """Resonance of the air in the tube of a pressure sensor."""
 
 import jax
-import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, last_sample, parameter, shape_parameter
@@ -36,12 +35,11 @@ class PressureResonance(Instrument):
         def series(p):
             return resonant(p, true.t, self.c, self.damping_rate)
 
-        both = jax.vmap(series)(jnp.stack([true.p_front, true.p_rear]))
-        return true._replace(p_front=both[0], p_rear=both[1])
+        return true._replace(pressures=jax.vmap(series)(true.pressures))
 
     def read_sample(self, true, read):
         def sample(x, y):
             return resonant_sample(x, true.t, self.c, self.damping_rate, y)
 
-        p_front, p_rear = sample(true.p_front, read.p_front), sample(true.p_rear, read.p_rear)
-        return last_sample(true)._replace(p_front=p_front, p_rear=p_rear)
+        pressures = jax.vmap(sample)(true.pressures, read.pressures)
+        return last_sample(true)._replace(pressures=pressures)

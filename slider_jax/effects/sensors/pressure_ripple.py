@@ -30,8 +30,6 @@ class PressureRipple(Instrument):
     """P, period of the error. The default is 32 codes, for the fifth bit of the converter."""
 
     def read(self, true):
-        def off(p):
-            angle = 2.0 * math.pi * p / self.period
-            return p + self.a * jnp.sin(angle) + self.b * jnp.cos(angle)
-
-        return true._replace(p_front=off(true.p_front), p_rear=off(true.p_rear))
+        angle = 2.0 * math.pi * true.pressures / self.period
+        ripple = self.a * jnp.sin(angle) + self.b * jnp.cos(angle)
+        return true._replace(pressures=true.pressures + ripple)

@@ -31,8 +31,6 @@ class PressureSaturation(Instrument):
     """P, end of the range."""
 
     def read(self, true):
-        def saturated(p):
-            excess = 0.5 * (magnitude(p - self.P, CORNER) - magnitude(p + self.P, CORNER))
-            return p - self.c * (p + excess)
-
-        return true._replace(p_front=saturated(true.p_front), p_rear=saturated(true.p_rear))
+        p = true.pressures
+        excess = 0.5 * (magnitude(p - self.P, CORNER) - magnitude(p + self.P, CORNER))
+        return true._replace(pressures=p - self.c * (p + excess))

@@ -1,5 +1,7 @@
 """Lag of the pressure sensors."""
 
+import jax
+
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, last_sample, parameter
 from slider_jax.effects.functions import lagged, lagged_sample
@@ -25,13 +27,12 @@ class PressureSensorLag(Instrument):
     """tau, time constant of the filter [s]."""
 
     def read(self, true):
-        return true._replace(
-            p_front=lagged(true.p_front, true.t, self.tau),
-            p_rear=lagged(true.p_rear, true.t, self.tau),
-        )
+        pressures = jax.vmap(lambda p: lagged(p, true.t, self.tau))(true.pressures)
+        return true._replace(pressures=pressures)
 
     def read_sample(self, true, read):
-        return last_sample(true)._replace(
-            p_front=lagged_sample(true.p_front, true.t, self.tau, read.p_front),
-            p_rear=lagged_sample(true.p_rear, true.t, self.tau, read.p_rear),
-        )
+        def sample(p, y):
+            return lagged_sample(p, true.t, self.tau, y)
+
+        pressures = jax.vmap(sample)(true.pressures, read.pressures)
+        return last_sample(true)._replace(pressures=pressures)
