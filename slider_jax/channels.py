@@ -54,6 +54,9 @@ class Channel:
     no discrepancy is declared or measured."""
     digits: str = ".7g"
     """Python format specification of the numbers in the CSV column."""
+    white: float = 0.0
+    """Standard deviation of the white noise, in `unit`, of a channel without the key `noise`. If 0,
+    the noise is estimated from the data."""
     start: Callable[[np.ndarray], float] = lambda midline: 0.0
     """Returns the reading at t = 0 from the midline (2, nodes) [m]; not used for pressures."""
 
@@ -174,7 +177,7 @@ REGISTERED: list[Channel] = []
 
 
 def channels_of(chambers: Sequence[str]) -> ChannelSet:
-    """Returns the channels of a robot whose chambers have the names `chambers`.
+    """Returns the built-in channels of a robot whose chambers have the names `chambers`.
 
     Raises `InputError` if two channels have the same name or column.
     """

@@ -9,7 +9,8 @@ from pydantic import Field
 from slider_jax.beam.parameters import Robot
 from slider_jax.errors import InputError
 from slider_jax.experiment.robot import robot_of
-from slider_jax.experiment.schema import FROM_LIST, FileName, RobotTable, Table
+from slider_jax.experiment.schema import RobotTable
+from slider_jax.experiment.tables import FROM_LIST, FileName, Table
 from slider_jax.io.csv import read_csv, read_table
 from slider_jax.io.toml import read_toml, validate
 from slider_jax.io.units import Quantity

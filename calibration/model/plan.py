@@ -84,7 +84,8 @@ def plan_trial(
         spacing = float(np.median(np.diff(at)))
     else:
         longest = min(longest, 1.0 / (trial.frequency * resolution.per_stride))
-    grid = step_grid(trial, longest, at[-1], spacing, prepared.played)
+    delays = prepared.grid.delays
+    grid = step_grid(trial, longest, at[-1], spacing, prepared.played, delays)
     taken = {name: jnp.asarray(x, float) for name, x in trial_conditions(experiment, trial).items()}
     extended = ExtendedModel(prepared.model, taken, effects, prepared.channels)
     return TrialPlan(trial, extended, numerics, SCHEMES[resolution.scheme], grid, at)

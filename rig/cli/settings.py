@@ -7,7 +7,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from rig.recording.table import AnalogueSensor
 from slider_jax.errors import InputError
-from slider_jax.experiment.schema import FROM_LIST, Table, _fail
+from slider_jax.experiment.tables import FROM_LIST, Table, fail
 from slider_jax.io.toml import read_toml, validate
 from slider_jax.io.units import Quantity
 
@@ -32,7 +32,7 @@ class ManifoldTable(Table):
     @model_validator(mode="after")
     def _one_or_four(self) -> "ManifoldTable":
         if len(self.limits) not in (1, 4):
-            _fail("limits", f"{len(self.limits)} pressures", "one for all chambers, or four")
+            fail("limits", f"{len(self.limits)} pressures", "one for all chambers, or four")
         return self
 
 
@@ -53,7 +53,7 @@ class ForceTable(Table):
     @model_validator(mode="after")
     def _both_counts(self) -> "ForceTable":
         if (self.counts_per_N is None) != (self.counts_per_Nm is None):
-            _fail(
+            fail(
                 "counts_per_N",
                 "one of the two counts",
                 "both or none of counts_per_N, counts_per_Nm",
@@ -100,7 +100,7 @@ class RigTable(Table):
         given += ["tip_m"] if self.camera else []
         for index, sensor in enumerate(self.analogue):
             if sensor.column in given:
-                _fail(f"analogue.{index}.column", sensor.column, "a column without another sensor")
+                fail(f"analogue.{index}.column", sensor.column, "a column without another sensor")
             given.append(sensor.column)
         return self
 

@@ -3,6 +3,8 @@
 from slider_jax.actuation.moment import chamber_windows
 from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw
 from slider_jax.actuation.waveform import (
+    Biased,
+    Clipped,
     Held,
     Recorded,
     SineWave,
@@ -14,6 +16,8 @@ from slider_jax.actuation.waveform import (
 )
 
 __all__ = [
+    "Biased",
+    "Clipped",
     "FirstOrderLag",
     "Held",
     "Ideal",

@@ -48,6 +48,9 @@ def chamber_windows(robot: Robot, grid: Grid) -> Float[Array, "chambers cells"]:
     therefore the sum of K_Q p times the window of each chamber.
     """
 
+    if not robot.chambers:
+        return jnp.zeros((0, *grid.ds.shape))
+
     def window(span):
         near, far = span
         couples = spread(robot.length - far, grid) - spread(robot.length - near, grid)

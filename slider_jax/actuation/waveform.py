@@ -237,6 +237,34 @@ class Shaped(Waveform):
         return Segment(x.t0, x.t_break, x.t1, *ends)
 
 
+class Biased(Waveform):
+    """The set pressure wave + bias [Pa]; a bias steers."""
+
+    wave: Waveform
+    bias: Scalar
+
+    def segment(self, t0, t1):
+        x = self.wave.segment(t0, t1)
+        ends = (p + self.bias for p in (x.a0, x.a1, x.b0, x.b1))
+        return Segment(x.t0, x.t_break, x.t1, *ends)
+
+
+class Clipped(Waveform):
+    """The set pressure `wave`, limited to the range from `low` to `high` [Pa].
+
+    Segments are exact if `wave` is piecewise constant.
+    """
+
+    wave: Waveform
+    low: Scalar
+    high: Scalar
+
+    def segment(self, t0, t1):
+        x = self.wave.segment(t0, t1)
+        ends = (jnp.clip(p, self.low, self.high) for p in (x.a0, x.a1, x.b0, x.b1))
+        return Segment(x.t0, x.t_break, x.t1, *ends)
+
+
 class Fading(Waveform):
     """The set pressure exp(-rate t) wave, which decreases with the time t [s].
 

@@ -26,15 +26,17 @@ class Robot(eqx.Module):
     | `body` | | actuated part, from the head to the joint of the tail |
     | `tail` | | passive part |
     | `chambers` | m | distances of each chamber's near and far end from the head |
-    | `K_Q` | m^3 | bending moment per unit pressure, of all chambers or of each chamber |
+    | `K_Q` | m^3 | bending moment of a chamber per unit pressure |
     | `point_masses` | m, kg | distance from the head and mass of each point mass |
+    | `K_Q_ratios` | - | moment per unit pressure of each chamber, divided by `K_Q` |
     """
 
     body: RobotPart
     tail: RobotPart
     chambers: tuple[tuple[Scalar, Scalar], ...]
-    K_Q: Float[Array, " chambers"] | Scalar
+    K_Q: Scalar
     point_masses: Float[Array, "masses 2"] | None = None
+    K_Q_ratios: Float[Array, " chambers"] | Scalar = 1.0
 
     @property
     def length(self) -> Scalar:

@@ -104,5 +104,5 @@ def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
         joint=grid.at_joint(),
     )
     windows = chamber_windows(robot, grid)
-    K_Q = jnp.broadcast_to(robot.K_Q, windows.shape[:1])
+    K_Q = jnp.broadcast_to(robot.K_Q * robot.K_Q_ratios, windows.shape[:1])
     return Mesh(grid, structure, K_Q[:, None] * windows, windows)

@@ -76,6 +76,9 @@ def set_pressures(model: Model, times: Float[Array, " n"]) -> Segment:
             wave = effect.command(wave, rear)
         return jax.vmap(wave.segment)(times[:-1], times[1:])
 
+    if not waves:
+        none = jnp.zeros((times.shape[0] - 1, 0))
+        return Segment(*(none,) * 7)
     kinds: dict[Hashable, list[int]] = {}
     for i, wave in enumerate(waves):
         leaves, structure = jax.tree.flatten(wave)

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from slider_jax.actuation import (
+    Biased,
+    Clipped,
     FirstOrderLag,
     Ideal,
     PressureLaw,
@@ -21,23 +23,26 @@ from slider_jax.actuation import (
     SquareWave,
     Trapezoid,
     Waveform,
+    rear_of,
     waves_along,
 )
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics, Robot, Scalar
-from slider_jax.channels import TIME, ChannelSet, channels_of
+from slider_jax.channels import TIME, ChannelSet
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.time_schemes import SCHEMES, Scheme
 from slider_jax.effects import Effect, NormalDrag, ReactiveForce
 from slider_jax.effects.library import KNOWN_EFFECTS, LIBRARY
 from slider_jax.errors import InputError, did_you_mean
+from slider_jax.experiment.actuator_tables import ChamberTable
+from slider_jax.experiment.declared_channels import declared_channels
 from slider_jax.experiment.robot import robot_of
 from slider_jax.experiment.schema import EffectTable, ExperimentTable, ParametersTable, Trial
 from slider_jax.io.csv import read_csv
 from slider_jax.io.files import input_files
 from slider_jax.io.toml import read_toml, validate
 from slider_jax.paper import force_coefficients
-from slider_jax.supports import Clamped
+from slider_jax.supports import Clamped, Free, Support
 
 
 class Experiment(ExperimentTable):
@@ -58,11 +63,11 @@ class Experiment(ExperimentTable):
     @property
     def channels(self) -> ChannelSet:
         """The channels of the experiment's sensors."""
-        return channels_of(self.robot.chamber_names)
+        return declared_channels(self.chamber_names, self.sensors.channels)
 
     def robot_model(self) -> Robot:
         """Returns the robot. Raises `InputError` if the profile of a segment is invalid."""
-        return robot_of(self.robot, self.parameters.K_Q, self.folder)
+        return robot_of(self.robot, self.parameters.K_Q, self.folder, self.chambers)
 
     def with_values(self, values: dict[str, Any], source: str = "change") -> "Experiment":
         """Returns a validated copy with new `values`, such as {"trials.0.frequency": 2.0}."""
@@ -88,6 +93,10 @@ def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experimen
     experiment._folder = folder
     for index, effect in enumerate(experiment.effects):
         _effect(effect, f"{source}: effects.{index}")
+    try:
+        experiment.channels  # noqa: B018  (two channels must not have the same name or column)
+    except InputError as error:
+        raise InputError(f"{source}: sensors.channels: {error}") from None
     return experiment
 
 
@@ -187,7 +196,7 @@ def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, .
 def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, ...]:
     """Returns the recorded pressures of the chambers, checked for duration, spacing and unit."""
     path = experiment.folder / str(trial.drive_file)
-    names = tuple(f"p_{name}_Pa" for name in experiment.robot.chamber_names)
+    names = tuple(f"p_{name}_Pa" for name in experiment.chamber_names)
     columns = read_csv(path, (TIME, *names))
     times = columns[TIME]
     spacing = np.diff(times)
@@ -210,7 +219,17 @@ def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, ...]:
         )
     for name in names:
         check_pascal(path, columns, (name,))
-    return tuple(Recorded(jnp.asarray(times), jnp.asarray(columns[x])) for x in names)
+    limits = [_limits(x) for x in experiment.chambers] if trial.drive_is == "set" else None
+    series = [columns[name] for name in names]
+    if limits is not None:
+        series = [np.clip(x, *limit) for x, limit in zip(series, limits, strict=True)]
+    return tuple(Recorded(jnp.asarray(times), jnp.asarray(x)) for x in series)
+
+
+def _limits(chamber: ChamberTable) -> tuple[float, float]:
+    """Returns the lowest and the highest set pressure [Pa] of a chamber or pair of chambers."""
+    limit = chamber.limit or inf
+    return -limit if chamber.acts_on("right") else 0.0, limit if chamber.acts_on("left") else 0.0
 
 
 def _drive(experiment: Experiment, trial: Trial) -> Drive:
@@ -224,10 +243,31 @@ def _drive(experiment: Experiment, trial: Trial) -> Drive:
     assert f is not None and amplitude is not None
     kinds: dict[str, Callable[..., Waveform]] = {"square": SquareWave, "sine": SineWave}
     kind = kinds.get(trial.waveform, partial(Trapezoid, rise=trial.rise))
-    chambers = len(experiment.robot.chambers)
-    last = amplitude * trial.rear_ratio
-    waves = waves_along(partial(kind, f), chambers, amplitude, last, trial.phase)
-    return Drive(waves, jnp.zeros(chambers))
+    count, wave = len(experiment.chambers), partial(kind, f)
+    waves = waves_along(wave, count, amplitude, amplitude * trial.rear_ratio, trial.phase)
+    if trial.ratios is not None or trial.phases is not None:
+        ratios = trial.ratios or [1.0 + r * (trial.rear_ratio - 1.0) for r in rear_of(count)]
+        delays = delays_of(experiment, trial)
+        waves = tuple(wave(amplitude * x, y) for x, y in zip(ratios, delays, strict=True))
+    return Drive(_limited(experiment, trial, waves), jnp.zeros(count))
+
+
+def delays_of(experiment: Experiment, trial: Trial) -> tuple[float, ...]:
+    """Returns the delay of each chamber's set pressure, as a fraction of a period."""
+    given = trial.phases
+    return given or tuple(float(r * trial.phase) for r in rear_of(len(experiment.chambers)))
+
+
+def _limited(
+    experiment: Experiment, trial: Trial, waves: tuple[Waveform, ...]
+) -> tuple[Waveform, ...]:
+    """Returns the waves with the trial's biases, cut at the limits of the chambers."""
+    if trial.biases is not None:
+        waves = tuple(Biased(x, bias) for x, bias in zip(waves, trial.biases, strict=True))
+    limits = [_limits(x) for x in experiment.chambers]
+    if all(x == (-inf, inf) for x in limits):
+        return waves
+    return tuple(Clipped(x, *limit) for x, limit in zip(waves, limits, strict=True))
 
 
 def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
@@ -275,16 +315,22 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
         effects=(NormalDrag(C_d, density), ReactiveForce(m_a, density), *extra),
         pressure_law=law,
         drive=_drive(experiment, trial),
-        support=Clamped(
-            tow_speed=trial.tow_speed,
-            heave=trial.heave,
-            pitch=trial.pitch,
-            frequency=trial.clamp_frequency or trial.frequency or 0.0,
-            pitch_phase=trial.pitch_phase,
-        ),
+        support=_support(trial),
         water=experiment.water.velocity,
     )
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
+
+
+def _support(trial: Trial) -> Support:
+    if trial.support == "free":
+        return Free(trial.start_speed, trial.heading)
+    return Clamped(
+        tow_speed=trial.tow_speed,
+        heave=trial.heave,
+        pitch=trial.pitch,
+        frequency=trial.clamp_frequency or trial.frequency or 0.0,
+        pitch_phase=trial.pitch_phase,
+    )
 
 
 def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | None:

@@ -56,7 +56,7 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
     path = experiment.folder / f"{Path(trial.file).stem}.played.csv"
     if not path.exists() or trial.drive_is == "measured":
         return None
-    names = played_columns(experiment.robot.chamber_names)
+    names = played_columns(experiment.chamber_names)
     columns = read_csv(path, names)
     t, sets = columns["t_s"], [columns[name] for name in names[1:]]
     advice = "delete the .played.csv file to use the drive of the experiment file"

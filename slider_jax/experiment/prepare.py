@@ -9,7 +9,7 @@ from slider_jax.beam.parameters import Numerics
 from slider_jax.channels import TIME, ChannelSet
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.time_schemes import Scheme
-from slider_jax.experiment.load import Experiment, read_measured, to_model, to_numerics
+from slider_jax.experiment.load import Experiment, delays_of, read_measured, to_model, to_numerics
 from slider_jax.experiment.playback import LONGEST_STEP, PlayedDrive, read_played
 from slider_jax.experiment.schema import Trial
 
@@ -23,8 +23,8 @@ class StepGrid:
     steps: int
     half_period: int | None = None
     """Number of steps per half stride; None for a recorded drive."""
-    phase: float = 0.0
-    """Delay of the rear chamber, as a fraction of a stride."""
+    delays: tuple[float, ...] = (0.0,)
+    """Delays of the chambers' set pressures, as fractions of a stride."""
     played: np.ndarray | None = None
     """Times [s] of the pressure steps of a played square wave; None for other drives."""
 
@@ -47,7 +47,7 @@ class StepGrid:
             return np.unique(np.concatenate([inner, [0, self.steps]]))
         if self.half_period is None:
             return np.array([0, self.steps])
-        return edge_steps(self.steps, self.half_period, self.phase)
+        return edge_steps(self.steps, self.half_period, self.delays)
 
 
 def step_grid(
@@ -56,11 +56,13 @@ def step_grid(
     end: float,
     spacing: float | None = None,
     played: PlayedDrive | None = None,
+    delays: tuple[float, ...] = (0.0,),
 ) -> StepGrid:
     """Returns a grid up to `end` [s] with steps of at most `longest` [s].
 
     If the `spacing` [s] of a recorded drive is given, the spacing is a multiple of the step.
-    Otherwise, if the trial has a frequency, half a stride is a multiple of the step.
+    Otherwise, if the trial has a frequency, half a stride is a multiple of the step. `delays` are
+    the delays of the chambers' set pressures, as fractions of a stride.
     """
     half, edges = None, None if played is None else played.edges
     if spacing is not None:
@@ -68,9 +70,10 @@ def step_grid(
     elif trial.frequency is None:
         h = longest
     else:
-        half = half_period_steps(trial.frequency, longest, trial.phase)
+        half = half_period_steps(trial.frequency, longest, delays)
         h = 0.5 / (trial.frequency * half)
-    return StepGrid(h, max(4, int(np.ceil(end / h * (1.0 - 1e-9)))), half, trial.phase, edges)
+    steps = max(4, int(np.ceil(end / h * (1.0 - 1e-9))))
+    return StepGrid(h, steps, half, delays, edges)
 
 
 def divided_step(spacing: float, longest: float) -> float:
@@ -88,8 +91,10 @@ class PreparedTrial:
     numerics: Numerics
     scheme: Scheme
     grid: StepGrid
+    lead: float
+    """Time [s] that the simulation begins before the trial's time 0."""
     sample_times: np.ndarray
-    """Sample times (n,) [s]."""
+    """Sample times (n,) [s] since the simulation's begin."""
     played: PlayedDrive | None
     """The drive that the valves followed; None if the model has the experiment file's drive."""
     measured: dict[str, np.ndarray] | None
@@ -130,30 +135,42 @@ def prepare(
     if recorded:
         times = recorded[0]
         spacing = (times[-1] - times[0]) / (len(times) - 1)
-    grid = step_grid(trial, longest, trial.duration, spacing, played)
-    channels = experiment.channels
-    mesh = to_numerics(experiment)
-    return PreparedTrial(trial, model, *mesh, grid, sample_times, played, columns, channels)
+    lead = trial.lead_strides / trial.frequency if trial.frequency else 0.0
+    delays = delays_of(experiment, trial)
+    grid = step_grid(trial, longest, lead + trial.duration, spacing, played, delays)
+    numerics, scheme = to_numerics(experiment)
+    return PreparedTrial(
+        trial=trial,
+        model=model,
+        numerics=numerics,
+        scheme=scheme,
+        grid=grid,
+        lead=lead,
+        sample_times=lead + sample_times,
+        played=played,
+        measured=columns,
+        channels=experiment.channels,
+    )
 
 
-def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> int:
+def half_period_steps(frequency: float, longest: float, delays: tuple[float, ...] = (0.0,)) -> int:
     """Returns the number of steps of at most `longest` [s] in a half period of `frequency` [Hz].
 
-    The front set pressure therefore jumps at ends of steps. The number is increased by up to a
-    quarter if then the rear set pressure, `phase` periods later, also jumps at ends of steps.
+    A set pressure without delay therefore jumps at ends of steps. The number is increased by up to
+    a quarter if then the set pressures with the `delays` [periods] also jump at ends of steps.
     """
     least = max(2, int(np.ceil(0.5 / (frequency * longest) * (1.0 - 1e-12))))
     for steps in range(least, least + least // 4 + 1):
-        if abs(2 * steps * phase - round(2 * steps * phase)) < 1e-6:
+        if all(abs(2 * steps * x - round(2 * steps * x)) < 1e-6 for x in delays):
             return steps
     return least
 
 
-def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
+def edge_steps(steps: int, half_period: int, delays: tuple[float, ...] = (0.0,)) -> np.ndarray:
     """Returns the indices of the steps at which a set pressure jumps, and 0 and `steps`."""
-    delay = round(2 * half_period * phase) % half_period
-    front, rear = np.arange(0, steps, half_period), np.arange(delay, steps, half_period)
-    return np.unique(np.concatenate([front, rear, [0, steps]]))
+    first = [round(2 * half_period * x) % half_period for x in delays]
+    jumps = [np.arange(x, steps, half_period) for x in first]
+    return np.unique(np.concatenate([*jumps, [0, steps]]))
 
 
 def sample_series(

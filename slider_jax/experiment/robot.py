@@ -1,5 +1,7 @@
 """Builds the robot of an experiment from table [robot] and the profiles of its segments."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -8,6 +10,7 @@ import numpy as np
 from slider_jax.beam.parameters import Robot, uniform_robot
 from slider_jax.beam.parts import RobotPart
 from slider_jax.errors import InputError
+from slider_jax.experiment.actuator_tables import ChamberTable
 from slider_jax.experiment.schema import (
     PROFILE_COLUMNS,
     RobotTable,
@@ -28,13 +31,22 @@ Pieces = dict[str, np.ndarray]
 """Lengths (pieces,) and properties (pieces, 2) of a segment."""
 
 
-def robot_of(table: RobotTable | SegmentedRobotTable, K_Q: float, folder: Path) -> Robot:
+def robot_of(
+    table: RobotTable | SegmentedRobotTable,
+    K_Q: float,
+    folder: Path,
+    chambers: Sequence[ChamberTable] | None = None,
+) -> Robot:
     """Returns the robot of a table [robot]. `folder` contains the profiles of the segments.
+
+    `chambers` are the robot's air chambers (default: those of the table).
 
     Raises `InputError` if a profile is invalid.
     """
+    chambers = table.own_chambers if chambers is None else chambers
     if isinstance(table, RobotTable):
-        return uniform_robot(**table.model_dump(exclude={"water_density"}), K_Q=K_Q)
+        own = table.model_dump(exclude={"water_density", "front_chamber", "rear_chamber"})
+        return _with_chambers(uniform_robot(**own, K_Q=K_Q), chambers)
     segments = [_pieces(table, x, folder) for x in table.segments]
     pairs = list(zip(table.segments, segments, strict=True))
     for name, least in RIGID.items():
@@ -45,13 +57,21 @@ def robot_of(table: RobotTable | SegmentedRobotTable, K_Q: float, folder: Path) 
     body = _part([pieces for x, pieces in pairs if x.part == "body"])
     behind = [pieces for x, pieces in pairs if x.part == "tail"]
     masses = table.point_masses
-    return Robot(
+    robot = Robot(
         body,
         _part(behind) if behind else _no_tail(body),
-        table.chambers,
+        (),
         K_Q,
         point_masses=jnp.array([[x.s, x.mass] for x in masses]) if masses else None,
     )
+    return _with_chambers(robot, chambers)
+
+
+def _with_chambers(robot: Robot, chambers: Sequence[ChamberTable]) -> Robot:
+    ratios = [x.K_Q_ratio for x in chambers]
+    alike = all(x == 1.0 for x in ratios)
+    spans = tuple(x.span for x in chambers)
+    return replace(robot, chambers=spans, K_Q_ratios=1.0 if alike else jnp.array(ratios))
 
 
 def _pieces(robot: SegmentedRobotTable, segment: SegmentTable, folder: Path) -> Pieces:

@@ -1,12 +1,9 @@
 """Defines the tables of an experiment file: keys, units and plausible ranges."""
 
-from pathlib import PurePath
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
-    AfterValidator,
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
@@ -14,69 +11,47 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
-from slider_jax.io.toml import TAG
+from slider_jax.experiment.actuator_tables import ChamberTable, ChannelTable, check_chambers
+from slider_jax.experiment.tables import (
+    FROM_LIST,
+    BendingStiffness,
+    DampingTime,
+    FileName,
+    Force,
+    Height,
+    Length,
+    LinearDensity,
+    Share,
+    Span,
+    Speed,
+    Stiffness,
+    Table,
+    WaterDensity,
+    fail,
+)
 from slider_jax.io.units import Quantity
 
-FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
-Length = Annotated[float, Quantity(0.0, 3.0, "m")]
-LinearDensity = Annotated[float, Quantity(0.01, 20.0, "kg/m")]
-BendingStiffness = Annotated[float, Quantity(1e-6, 100.0, "N m^2")]
-Stiffness = Annotated[float, Quantity(1.0, 1e7, "N")]
-DampingTime = Annotated[float, Quantity(0.0, 0.1, "s")]
-Height = Annotated[float, Quantity(0.002, 0.5, "m")]
-WaterDensity = Annotated[float, Quantity(900.0, 1300.0, "kg/m^3")]
-Span = Annotated[tuple[Length, Length], FROM_LIST]
-Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
-Force = Annotated[float, Quantity(0.0, 10.0, "N")]
-Share = Annotated[float, Quantity(0.0, 0.5)]
 FEWEST_NODES = 11
 """Smallest number of nodes along a robot; fewer nodes do not resolve the bending."""
 
 
-def _plain_name(name: str) -> str:
-    """Returns `name`, or raises an error if `name` is not a CSV file name without folder."""
-    parts = PurePath(name.replace("\\", "/")).parts
-    if len(parts) != 1 or parts[0] in ("..", ".") or not name.endswith(".csv"):
-        raise PydanticCustomError(
-            "file_name",
-            "given {given}; allowed a plain file name without folder, ending in .csv",
-            {"given": repr(name)},
-        )
-    return name
+class BodyTable(Table):
+    """The part of [robot] that all robots have. Spans are distances from the clamp."""
 
-
-FileName = Annotated[str, AfterValidator(_plain_name)]
-
-
-class Table(BaseModel):
-    """A table of an experiment file. Unknown keys are errors, and values are immutable."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    @classmethod
-    def tag(cls) -> str:
-        """Returns the name with which pydantic names the table if a field allows several tables."""
-        return TAG + cls.__name__
-
-
-class ChambersTable(Table):
-    """The chambers of [robot]. Their spans are distances from the clamp."""
-
-    front_chamber: Span
-    rear_chamber: Span
+    front_chamber: Span | None = None
+    rear_chamber: Span | None = None
     water_density: WaterDensity = 1000.0
 
     @property
-    def chamber_names(self) -> tuple[str, ...]:
-        """Names of the chambers, from the head to the tail."""
-        return "front", "rear"
-
-    @property
-    def chambers(self) -> tuple[tuple[float, float], ...]:
-        """Distances [m] of each chamber's near and far end from the head."""
-        return self.front_chamber, self.rear_chamber
+    def own_chambers(self) -> tuple[ChamberTable, ...]:
+        """The chambers of the keys `front_chamber` and `rear_chamber`."""
+        spans = {"front": self.front_chamber, "rear": self.rear_chamber}
+        return tuple(
+            ChamberTable(kind="pneumatic", name=name, span=span)
+            for name, span in spans.items()
+            if span is not None
+        )
 
     @property
     def lengths(self) -> tuple[float, float]:
@@ -92,21 +67,22 @@ class ChambersTable(Table):
     def _chambers_do_not_overlap(self) -> Self:
         _, body = self.lengths
         spans = {"front_chamber": self.front_chamber, "rear_chamber": self.rear_chamber}
-        for name, (near, far) in spans.items():
+        for name, span in spans.items():
+            if span is None:
+                continue
+            near, far = span
             if near >= far:
-                _fail(name, [near, far], "[near, far] with near < far, distances from the clamp")
+                fail(name, [near, far], "[near, far] with near < far, distances from the clamp")
             if far > body * (1.0 + 1e-9):
-                _fail(name, [near, far], f"spans within the body, 0 to {body:g} m")
-        if self.front_chamber[1] > self.rear_chamber[0]:
-            _fail(
-                "rear_chamber",
-                list(self.rear_chamber),
-                f"a near end of at least {self.front_chamber[1]:g} m, the front chamber's far end",
-            )
+                fail(name, [near, far], f"spans within the body, 0 to {body:g} m")
+        front, rear = spans.values()
+        if front and rear and front[1] > rear[0]:
+            end = f"{front[1]:g} m, the front chamber's far end"
+            fail("rear_chamber", list(rear), f"a near end of at least {end}")
         return self
 
 
-class RobotTable(ChambersTable):
+class RobotTable(BodyTable):
     """[robot] of a robot with a uniform body and a uniform tail: geometry and structure."""
 
     body_length: Annotated[float, Quantity(0.05, 3.0, "m")]
@@ -160,7 +136,7 @@ class PointMassTable(Table):
     mass: Annotated[float, Quantity(1e-4, 20.0, "kg")]
 
 
-class SegmentedRobotTable(ChambersTable):
+class SegmentedRobotTable(BodyTable):
     """[robot] of a robot with segments. The segments of the tail follow those of the body."""
 
     segments: Annotated[tuple[SegmentTable, ...], FROM_LIST, Field(min_length=1)]
@@ -187,10 +163,10 @@ class SegmentedRobotTable(ChambersTable):
     def _body_is_before_tail(cls, segments: tuple[SegmentTable, ...]) -> tuple[SegmentTable, ...]:
         parts = [x.part for x in segments]
         if parts[0] != "body":
-            _fail("0.part", '"tail"', '"body"; the first segment belongs to the body')
+            fail("0.part", '"tail"', '"body"; the first segment belongs to the body')
         wrong = next((i for i, p in enumerate(parts[1:], 1) if p == "body" != parts[i - 1]), None)
         if wrong is not None:
-            _fail(f"{wrong}.part", '"body"', '"tail", because the segment before is in the tail')
+            fail(f"{wrong}.part", '"body"', '"tail", because the segment before is in the tail')
         return segments
 
     @model_validator(mode="after")
@@ -198,16 +174,16 @@ class SegmentedRobotTable(ChambersTable):
         for i, x in enumerate(self.segments):
             if x.rigid and (x.EI is not None or x.EA is not None):
                 name = "EA" if x.EI is None else "EI"
-                _fail(f"segments.{i}.{name}", "a number", "nothing, because the segment is rigid")
+                fail(f"segments.{i}.{name}", "a number", "nothing, because the segment is rigid")
             for name in PROFILE_COLUMNS:
                 given = getattr(x, name) is not None or getattr(self, name) is not None
                 if not given and x.profile is None and not (x.rigid and name in ("EI", "EA")):
                     where = "a number here, in [robot] or in the column of a profile"
-                    _fail(f"segments.{i}.{name}", "nothing", where)
+                    fail(f"segments.{i}.{name}", "nothing", where)
         total = sum(self.lengths)
         for i, point in enumerate(self.point_masses):
             if point.s > total:
-                _fail(f"point_masses.{i}.s", point.s, f"0 to {total:g} m, the robot's length")
+                fail(f"point_masses.{i}.s", point.s, f"0 to {total:g} m, the robot's length")
         return self
 
 
@@ -256,15 +232,15 @@ class ParametersTable(Table):
         for name in ("C_d", "m_a"):
             given = getattr(self, name)
             if self.force_coefficients == "fixed" and given is None:
-                _fail(name, "nothing", 'a number, unless force_coefficients is "ramp" or "table"')
+                fail(name, "nothing", 'a number, unless force_coefficients is "ramp" or "table"')
             if self.force_coefficients != "fixed" and given is not None:
-                _fail(name, given, 'only with force_coefficients = "fixed"; omit this key')
+                fail(name, given, 'only with force_coefficients = "fixed"; omit this key')
         given_at = [x.frequency for x in self.coefficients]
         if (self.force_coefficients == "table") != bool(given_at):
             allowed = 'at least one table if force_coefficients = "table", otherwise none'
-            _fail("coefficients", f"{len(given_at)} tables", allowed)
+            fail("coefficients", f"{len(given_at)} tables", allowed)
         if any(b <= a for a, b in zip(given_at, given_at[1:], strict=False)):
-            _fail("coefficients", given_at, "frequencies that increase from table to table")
+            fail("coefficients", given_at, "frequencies that increase from table to table")
         return self
 
 
@@ -290,6 +266,7 @@ class SensorsTable(Table):
     recoil_discrepancy: Share | None = None
     tip_discrepancy: Share | None = None
     sample_rate: Annotated[float, Quantity(1.0, 1e5, "Hz")] = 500.0
+    channels: Annotated[tuple[ChannelTable, ...], FROM_LIST] = ()
 
 
 class WaterTable(Table):
@@ -307,9 +284,21 @@ class NumericsTable(Table):
     tolerance: Annotated[float, Quantity(1e-10, 1e-3)] = 1e-8
 
 
+Ratios = Annotated[tuple[Annotated[float, Quantity(-20.0, 20.0)], ...], FROM_LIST]
+Phases = Annotated[
+    tuple[Annotated[float, Quantity(-1.0, 1.0, "fraction of a period")], ...], FROM_LIST
+]
+Biases = Annotated[tuple[Annotated[float, Quantity(-2e6, 2e6, "Pa")], ...], FROM_LIST]
+
+
 class Trial(Table):
-    """[[trials]]: one trial. The rear set pressure is `rear_ratio` times the front set pressure and
-    `phase` periods later. A recorded drive contains set or measured pressures (`drive_is`)."""
+    """[[trials]]: one trial. From the first to the last chamber, the amplitude changes linearly by
+    the factor `rear_ratio`, and the delay changes linearly from 0 to `phase` periods. `ratios`,
+    `phases` and `biases` give each chamber its own values instead. A recorded drive contains set or
+    measured pressures (`drive_is`).
+
+    With `support` "free", the robot swims freely. It starts straight with `start_speed` and
+    `heading`. The drive runs for `lead_strides` strides before the trial's time 0."""
 
     file: FileName
     waveform: Literal["square", "sine", "trapezoid", "recorded"] = "square"
@@ -317,6 +306,9 @@ class Trial(Table):
     amplitude: Annotated[float, Quantity(1e3, 2e6, "Pa", or_zero=True)] | None = None
     rear_ratio: Annotated[float, Quantity(-20.0, 20.0)] = 1.0
     phase: Annotated[float, Quantity(-1.0, 1.0, "fraction of a period")] = 0.0
+    ratios: Ratios | None = None
+    phases: Phases | None = None
+    biases: Biases | None = None
     rise: Annotated[float, Quantity(0.001, 0.5, "fraction of a period")] = 0.1
     drive_file: FileName | None = None
     drive_is: Literal["set", "measured"] = "set"
@@ -325,6 +317,10 @@ class Trial(Table):
     pitch: Annotated[float, Quantity(-1.2, 1.2, "rad")] = 0.0
     pitch_phase: Annotated[float, Quantity(-6.2832, 6.2832, "rad")] = 0.0
     clamp_frequency: Annotated[float, Quantity(0.05, 20.0, "Hz")] | None = None
+    support: Literal["clamped", "free"] = "clamped"
+    start_speed: Speed = 0.0
+    heading: Annotated[float, Quantity(-6.2832, 6.2832, "rad")] = 0.0
+    lead_strides: Annotated[int, Field(strict=True, ge=0, le=1000)] = 0
     duration: Annotated[float, Quantity(0.01, 600.0, "s")]
     initial: Any = None  # accepted, but not used
 
@@ -332,15 +328,30 @@ class Trial(Table):
     def _drive_is_complete(self) -> "Trial":
         if self.waveform == "recorded":
             if self.drive_file is None:
-                _fail("drive_file", "nothing", 'a CSV file, because waveform is "recorded"')
+                fail("drive_file", "nothing", 'a CSV file, because waveform is "recorded"')
             if self.drive_file == self.file:
-                _fail("drive_file", repr(self.file), "a file other than the trial's `file`")
+                fail("drive_file", repr(self.file), "a file other than the trial's `file`")
             return self
+        for name, other in (("ratios", "rear_ratio"), ("phases", "phase")):
+            if getattr(self, name) is not None and other in self.model_fields_set:
+                fail(other, getattr(self, other), f"nothing, because the trial has {name}")
         for name in ("frequency", "amplitude"):
             if getattr(self, name) is None:
-                _fail(name, "nothing", f'a number, because waveform is "{self.waveform}"')
+                fail(name, "nothing", f'a number, because waveform is "{self.waveform}"')
         if self.drive_file is not None:
-            _fail("drive_file", repr(self.drive_file), 'only with waveform = "recorded"')
+            fail("drive_file", repr(self.drive_file), 'only with waveform = "recorded"')
+        return self
+
+    @model_validator(mode="after")
+    def _support_is_consistent(self) -> Self:
+        only = {"clamped": ("tow_speed", "heave", "pitch"), "free": ("start_speed", "heading")}
+        for support, names in only.items():
+            for name in names:
+                if support != self.support and getattr(self, name) != 0.0:
+                    fail(name, getattr(self, name), f'0, unless support is "{support}"')
+        if self.lead_strides and (self.waveform == "recorded" or self.clamp_frequency is not None):
+            allowed = "0 for a recorded drive, and for a clamp with its own frequency"
+            fail("lead_strides", self.lead_strides, allowed)
         return self
 
     @property
@@ -365,8 +376,50 @@ class ExperimentTable(Table):
     sensors: SensorsTable = SensorsTable()
     water: WaterTable = WaterTable()
     numerics: NumericsTable = NumericsTable()
+    actuators: Annotated[tuple[ChamberTable, ...], FROM_LIST] = ()
     effects: Annotated[tuple[EffectTable, ...], FROM_LIST] = ()
     trials: Annotated[tuple[Trial, ...], FROM_LIST, Field(min_length=1)]
+
+    @property
+    def chambers(self) -> tuple[ChamberTable, ...]:
+        """The air chambers, from the head to the tail."""
+        return self.actuators or self.robot.own_chambers
+
+    @property
+    def chamber_names(self) -> tuple[str, ...]:
+        """Names of the air chambers, from the head to the tail."""
+        return tuple(x.name for x in self.chambers)
+
+    @model_validator(mode="after")
+    def _actuators_fit_the_robot(self) -> Self:
+        for key in ("front_chamber", "rear_chamber"):
+            span = getattr(self.robot, key)
+            if self.actuators and span is not None:
+                fail(
+                    f"robot.{key}", list(span), "nothing, because [[actuators]] lists all chambers"
+                )
+        check_chambers(self.actuators, self.robot.lengths[1])
+        for i, trial in enumerate(self.trials):
+            for key in ("ratios", "phases", "biases"):
+                given = getattr(trial, key)
+                if given is not None and len(given) != len(self.chambers):
+                    names = ", ".join(self.chamber_names) or "none"
+                    allowed = f"one number for each chamber; chambers: {names}"
+                    fail(f"trials.{i}.{key}", list(given), allowed)
+            if trial.amplitude and not self.chambers:
+                fail(f"trials.{i}.amplitude", trial.amplitude, "0, as the robot has no chambers")
+        return self
+
+    @model_validator(mode="after")
+    def _channels_fit_the_robot(self) -> Self:
+        length = sum(self.robot.lengths)
+        for i, x in enumerate(self.sensors.channels):
+            if x.actuator is not None and x.actuator not in self.chamber_names:
+                names = ", ".join(self.chamber_names) or "none"
+                fail(f"sensors.channels.{i}.actuator", repr(x.actuator), f"chambers: {names}")
+            if x.s is not None and x.s > length * (1.0 + 1e-9):
+                fail(f"sensors.channels.{i}.s", x.s, f"0 to {length:g} m, the robot's length")
+        return self
 
     @model_validator(mode="after")
     def _trials_agree(self) -> "ExperimentTable":
@@ -374,25 +427,16 @@ class ExperimentTable(Table):
         for index, trial in enumerate(self.trials):
             if trial.file in seen:
                 allowed = f"a unique name; trials.{seen[trial.file]} has this name"
-                _fail(f"trials.{index}.file", repr(trial.file), allowed)
+                fail(f"trials.{index}.file", repr(trial.file), allowed)
             seen[trial.file] = index
             source = self.parameters.force_coefficients
             if source != "fixed" and trial.frequency is None:
                 needed = f'a number, because parameters.force_coefficients is "{source}"'
-                _fail(f"trials.{index}.frequency", "nothing", needed)
+                fail(f"trials.{index}.frequency", "nothing", needed)
             fastest = max(trial.frequency or 0.0, trial.clamp_frequency or 0.0)
             if trial.clamp_moves and not fastest:
-                _fail(f"trials.{index}.clamp_frequency", "nothing", "a number, as the clamp moves")
+                fail(f"trials.{index}.clamp_frequency", "nothing", "a number, as the clamp moves")
             if fastest and self.numerics.step > 0.05 / fastest:
                 longest = f"{0.05 / fastest:.4g} s, a twentieth of the period of trials.{index}"
-                _fail("numerics.step", self.numerics.step, f"at most {longest}")
+                fail("numerics.step", self.numerics.step, f"at most {longest}")
         return self
-
-
-def _fail(where: str, given: Any, allowed: str) -> None:
-    """Raises a validation error for the key `where` of a table."""
-    raise PydanticCustomError(
-        "table",
-        "{where}: given {given}; allowed {allowed}",
-        {"where": where, "given": str(given), "allowed": allowed},
-    )

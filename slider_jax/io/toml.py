@@ -139,7 +139,7 @@ def _message(table: type[BaseModel], error: Any) -> str:
         close = difflib.get_close_matches(str(location[-1]), owner.model_fields, 1)
         advice = f"did you mean {close[0]}?" if close else "remove this key"
         return f"{where}: unknown key; allowed {', '.join(owner.model_fields)}; {advice}"
-    if kind in ("quantity", "file_name", "too_short", "too_long"):
+    if kind in ("quantity", "file_name", "name", "too_short", "too_long"):
         return f"{where}: {error['msg']}"
     if kind == "float_type" and quantity:
         return f"{where}: given {given}; allowed a number, {quantity.allowed}"

@@ -7,11 +7,18 @@ from slider_jax.observables.energy import (
     stored_energy as stored_energy,
 )
 from slider_jax.observables.measured import (
+    angle_at as angle_at,
+    curvature_at as curvature_at,
+    forward_speed as forward_speed,
     lateral as lateral,
+    lateral_at as lateral_at,
     midline as midline,
+    point as point,
     recoil as recoil,
     thrust as thrust,
     tip as tip,
+    turning_rate_at as turning_rate_at,
+    yaw_moment as yaw_moment,
 )
 from slider_jax.observables.strides import (
     force_efficiency as force_efficiency,

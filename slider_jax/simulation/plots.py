@@ -18,7 +18,8 @@ def run_title(run: TrialRun) -> str:
             f"{trial.waveform} {trial.frequency:g} Hz, {1e-3 * (trial.amplitude or 0.0):g} kPa, "
             f"rear {trial.rear_ratio:g} at {trial.phase:g} period"
         )
-    return f"{Path(trial.file).stem}: {drive}, tow {trial.tow_speed:g} m/s"
+    support = "free" if trial.support == "free" else f"tow {trial.tow_speed:g} m/s"
+    return f"{Path(trial.file).stem}: {drive}, {support}"
 
 
 def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None:

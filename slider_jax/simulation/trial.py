@@ -1,7 +1,7 @@
 """Simulates one trial of an experiment, from its drive to the sensors' readings."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -113,7 +113,7 @@ def run_chunks(
 
 @dataclass(frozen=True)
 class TrialRun:
-    """A simulated trial. All series start with the initial state."""
+    """A simulated trial. All series start at the trial's time 0."""
 
     prepared: PreparedTrial
     series: dict[str, np.ndarray]
@@ -129,7 +129,9 @@ class TrialRun:
 
     @property
     def grid(self) -> StepGrid:
-        return self.prepared.grid
+        """The time grid from the trial's time 0."""
+        whole = self.prepared.grid
+        return replace(whole, steps=whole.steps - round(self.prepared.lead / whole.h))
 
     @property
     def t(self) -> np.ndarray:
@@ -186,10 +188,13 @@ def simulate_prepared(
     if bad.any():
         raise _failure(prepared, float(t[np.argmax(bad)]))
     edges = grid.edges
+    lead = round(prepared.lead / grid.h)
     columns = {
         x.column: sample_series(t, series[name], at, edges) for name, x in prepared.channels.items()
     }
-    return TrialRun(prepared, series, {TIME: at} | columns, int(carry.factorisations))
+    series = {name: values[lead:] for name, values in series.items()}
+    times = {TIME: at - prepared.lead}
+    return TrialRun(prepared, series, times | columns, int(carry.factorisations))
 
 
 def _failure(prepared: PreparedTrial, t: float) -> SolverError:

@@ -1,20 +1,29 @@
 """Support of a swimming robot: the head is free."""
 
+import equinox as eqx
 import jax.numpy as jnp
 
+from slider_jax.beam.parameters import Scalar
 from slider_jax.beam.state import to_plane
 from slider_jax.supports.base import Start, Support
 
 
 class Free(Support):
-    """A head without loads, T = N = M = 0. The reference point (`anchor_offset`) is the head."""
+    """A head without loads, T = N = M = 0. The reference point (`anchor_offset`) is the head.
+
+    The robot starts straight, at the angle `heading` [rad] to the x axis of the tank, and moves
+    forward at `speed` [m/s].
+    """
+
+    speed: Scalar = eqx.field(default=0.0)
+    heading: Scalar = eqx.field(default=0.0)
 
     def rows(self, head, omega, t):
         return head.T, head.N, head.M
 
     def start(self, t):
-        zero = jnp.zeros(())
-        return Start((zero, zero), zero, zero)
+        heading = jnp.asarray(self.heading)
+        return Start(to_plane(self.speed, 0.0, heading), heading, jnp.zeros(()))
 
     def during(self, t0, t1):
         return self

@@ -51,7 +51,9 @@ def to_swimmer(model: Model, gait: Gait | None = None) -> Model:
             f"effects: given {moving[0].name()}, which moves the water; a free swimmer's speed is "
             "relative to still water: remove this effect"
         )
-    model = replace(model, support=Free(), water=(jnp.zeros(()), jnp.zeros(())))
+    model = replace(
+        model, support=Free(jnp.zeros(()), jnp.zeros(())), water=(jnp.zeros(()), jnp.zeros(()))
+    )
     return model if gait is None else driven(model, gait)
 
 

@@ -270,12 +270,12 @@ def test_errors_against_the_measured_file_are_told_by_channel(simulated, tmp_pat
 
 @pytest.mark.parametrize("phase, expected", [(0.0, 209), (0.15, 210), (0.123, 209), (-0.1, 210)])
 def test_steps_put_both_chambers_edges_on_steps_where_they_can(phase, expected):
-    assert half_period_steps(4.8, 5e-4, phase) == expected
+    assert half_period_steps(4.8, 5e-4, (0.0, phase)) == expected
 
 
 def test_sampling_is_exact_for_cubics_and_does_not_cross_an_edge():
     t = np.linspace(0.0, 1.0, 41)
-    edges = edge_steps(40, 10, 0.2)
+    edges = edge_steps(40, 10, (0.0, 0.2))
     np.testing.assert_array_equal(edges, [0, 4, 10, 14, 20, 24, 30, 34, 40])
     at = np.random.default_rng(1).uniform(0.0, 1.0, 500)
     for edge in (0.1, 0.25, 0.85):

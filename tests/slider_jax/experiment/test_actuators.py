@@ -1,0 +1,267 @@
+"""Tests of [[actuators]]: any number of chambers, their sides, limits and drives, and bad input."""
+
+import jax
+import numpy as np
+import pytest
+
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.time_schemes import SDIRK2
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import load, to_model, to_numerics
+from slider_jax.observables import thrust
+from slider_jax.simulation.trial import simulate_trial
+from tests.support.experiments import write_small_experiment
+
+SPANS = "front_chamber = [0.02, 0.145]\nrear_chamber = [0.155, 0.28]\n"
+
+
+def chamber(name, near, far, more=""):
+    return f'[[actuators]]\nkind = "pneumatic"\nname = "{name}"\nspan = [{near}, {far}]\n{more}\n'
+
+
+FRONT, REAR = chamber("front", 0.02, 0.145), chamber("rear", 0.155, 0.28)
+
+
+def with_actuators(folder, actuators, *changes):
+    """Writes the small experiment with `actuators` instead of the front and the rear chamber."""
+    tables = ("[[trials]]", f"{actuators}[[trials]]")
+    return write_small_experiment(folder, (SPANS, ""), tables, *changes)
+
+
+def series_of(path, trial=0):
+    return simulate_trial(load(path), trial).series
+
+
+def evenly(count):
+    """Returns `count` chambers of equal length between 0.02 and 0.28 m."""
+    ends = np.linspace(0.02, 0.28, count + 1)
+    return "".join(chamber(f"c{i}", ends[i], ends[i + 1]) for i in range(count))
+
+
+def test_two_actuators_are_the_front_and_the_rear_chamber(tmp_path):
+    old = series_of(write_small_experiment(tmp_path))
+    new = series_of(with_actuators(tmp_path, FRONT + REAR))
+    assert list(new) == list(old)
+    for name, values in old.items():
+        np.testing.assert_array_equal(new[name], values, err_msg=name)
+
+
+def test_two_halves_of_a_chamber_are_the_whole_chamber(tmp_path):
+    whole = series_of(with_actuators(tmp_path, chamber("whole", 0.02, 0.28)))
+    halves = chamber("first", 0.02, 0.137) + chamber("second", 0.137, 0.28)
+    drive = ("rear_ratio = 0.9\nphase = 0.1\n", "phases = [0.0, 0.0]\n")
+    both = series_of(with_actuators(tmp_path, halves, drive))
+    for name in ("thrust", "recoil", "tip"):
+        size = np.abs(whole[name]).max()
+        np.testing.assert_allclose(both[name], whole[name], rtol=0.0, atol=1e-8 * size)
+
+
+def test_a_single_chamber_ignores_the_phase_of_the_last_chamber(tmp_path):
+    path = with_actuators(tmp_path, chamber("only", 0.02, 0.28))
+    (wave,) = to_model(load(path)).drive.waves
+    assert wave.amplitude == 150e3 and wave.phase == 0.0
+
+
+def test_the_chambers_between_follow_linearly(tmp_path):
+    waves = to_model(load(with_actuators(tmp_path, evenly(3)))).drive.waves
+    np.testing.assert_allclose([x.amplitude for x in waves], [150e3, 142.5e3, 135e3])
+    np.testing.assert_allclose([x.phase for x in waves], [0.0, 0.05, 0.1])
+    own = ("rear_ratio = 0.9\nphase = 0.1\n", "ratios = [1.0, 0.5, -1.0]\nphases = [0, 0.3, 0.1]\n")
+    waves = to_model(load(with_actuators(tmp_path, evenly(3), own))).drive.waves
+    np.testing.assert_allclose([x.amplitude for x in waves], [150e3, 75e3, -150e3])
+    np.testing.assert_allclose([x.phase for x in waves], [0.0, 0.3, 0.1])
+
+
+def test_each_chamber_has_its_own_moment_per_pressure(tmp_path):
+    """Twice the ratio and half the pressure give the same motion."""
+    double = chamber("rear", 0.155, 0.28, "K_Q_ratio = 2.0")
+    half = ("rear_ratio = 0.9", "rear_ratio = 0.45")
+    found = series_of(with_actuators(tmp_path, FRONT + double, half))
+    old = series_of(write_small_experiment(tmp_path))
+    np.testing.assert_allclose(found["p_rear"], 0.5 * old["p_rear"], rtol=1e-12)
+    np.testing.assert_allclose(found["tip"], old["tip"], rtol=1e-9, atol=1e-12)
+
+
+def test_a_left_and_a_right_chamber_are_a_pair(tmp_path):
+    """Both take their half of the same wave, so their signed pressures add up to the pair's.
+
+    Without a lag this is exact. With the lag, both chambers vent while the other one fills.
+    """
+    sides = chamber("left", 0.02, 0.28, 'side = "left"') + chamber(
+        "right", 0.02, 0.28, 'side = "right"'
+    )
+    together = ("rear_ratio = 0.9\nphase = 0.1\n", "phases = [0.0, 0.0]\n")
+    apart = series_of(with_actuators(tmp_path, sides, together))
+    pair = series_of(with_actuators(tmp_path, chamber("pair", 0.02, 0.28)))
+    assert apart["p_left"].min() >= 0.0 and apart["p_right"].max() <= 0.0
+    np.testing.assert_allclose(apart["p_left"] + apart["p_right"], pair["p_pair"], atol=1e-6)
+    np.testing.assert_allclose(apart["tip"], pair["tip"], rtol=1e-9, atol=1e-12)
+
+
+def test_a_limit_and_a_bias_change_the_set_pressure(tmp_path):
+    limited = chamber("front", 0.02, 0.145, "limit = 60e3") + REAR
+    biased = ("phase = 0.1\n", "phase = 0.1\nbiases = [0.0, 20e3]\n")
+    path = with_actuators(tmp_path, limited, biased)
+    front, rear = to_model(load(path)).drive.waves
+    for t, sign in ((0.05, 1.0), (0.2, -1.0)):
+        at = front.segment(np.asarray(t), np.asarray(t + 0.001))
+        assert float(at.b1) == sign * 60e3
+        at = rear.segment(np.asarray(t), np.asarray(t + 0.001))
+        np.testing.assert_allclose(float(at.b1), sign * 135e3 + 20e3)
+
+
+def test_a_robot_without_chambers_is_passive(tmp_path):
+    """The tail of a towed foil that heaves moves; a robot at rest stays at rest."""
+    still = ("amplitude = 150000.0", "amplitude = 0.0"), ("amplitude = 250000.0", "amplitude = 0.0")
+    rest = series_of(write_small_experiment(tmp_path, (SPANS, ""), *still))
+    assert list(rest) == ["thrust", "recoil", "tip"]
+    np.testing.assert_array_equal(rest["tip"], 0.0)
+    heave = ("tow_speed = 0.0", "tow_speed = 0.2\nheave = 0.01")
+    assert (
+        np.ptp(series_of(write_small_experiment(tmp_path, (SPANS, ""), *still, heave))["tip"]) > 0
+    )
+
+
+def test_the_size_of_the_program_does_not_depend_on_the_number_of_chambers(tmp_path):
+    sizes = []
+    for count in (1, 2, 3, 6):
+        path = with_actuators(tmp_path, evenly(count), ("nodes = 11", "nodes = 51"))
+        experiment = load(path)
+        model, (numerics, _) = to_model(experiment), to_numerics(experiment)
+
+        def run(model, numerics=numerics):
+            times = TimeGrid(5e-3, 20)
+            return rollout(model, times, thrust, numerics, SDIRK2, checkpoint=False).saved
+
+        compiled = jax.jit(run).lower(model).compile()
+        sizes.append((len(compiled.as_text()), compiled.cost_analysis()["flops"]))
+    for size in np.transpose(sizes):
+        assert max(size) < 1.3 * min(size), sizes
+
+
+CASES = {
+    "unknown kind": (
+        FRONT.replace("pneumatic", "hydraulic"), "actuators.0.kind: given 'hydraulic'; allowed",
+    ),
+    "no kind": (FRONT.replace('kind = "pneumatic"\n', ""), "actuators.0.kind: missing"),
+    "no span": (FRONT.replace("span = [0.02, 0.145]\n", ""), "actuators.0.span: missing"),
+    "no name": (FRONT.replace('name = "front"\n', ""), "actuators.0.name: missing"),
+    "unknown key": (
+        FRONT.replace("span", "K_Q = 1e-7\nspan"), "actuators.0.K_Q: unknown key; allowed kind, name",
+    ),
+    "name with a space": (
+        chamber("my chamber", 0.02, 0.1), "actuators.0.name: given 'my chamber'; allowed lower-case",
+    ),
+    "same name": (
+        FRONT + chamber("front", 0.155, 0.28),
+        "actuators.1.name: given 'front'; allowed a name that no other actuator has",
+    ),
+    "overlap": (
+        FRONT + chamber("rear", 0.1, 0.28),
+        "actuators.1.span: given [0.1, 0.28]; allowed a span outside of [0.02, 0.145], the span of "
+        "front",
+    ),
+    "a pair over a single chamber": (
+        chamber("left", 0.02, 0.145, 'side = "left"') + chamber("rear", 0.1, 0.28),
+        "actuators.1.span: given [0.1, 0.28]; allowed a span outside of [0.02, 0.145]",
+    ),
+    "wrong order": (
+        REAR + FRONT, "actuators.1.span: given [0.02, 0.145]; allowed a near end of at least 0.155 m",
+    ),
+    "reversed": (
+        chamber("front", 0.145, 0.02), "actuators.0.span: given [0.145, 0.02]; allowed [near, far]",
+    ),
+    "beyond the body": (
+        chamber("front", 0.02, 0.31), "actuators.0.span: given [0.02, 0.31]; allowed spans within",
+    ),
+    "millimetres": (chamber("front", 20.0, 145.0), "actuators.0.span.0: given 20.0; allowed 0 to 3 m"),
+    "limit in kPa": (
+        chamber("front", 0.02, 0.145, "limit = 200"),
+        "actuators.0.limit: given 200.0; allowed 1000 to 2e+06 Pa",
+    ),
+    "unknown side": (
+        chamber("front", 0.02, 0.145, 'side = "top"'),
+        "actuators.0.side: given 'top'; allowed 'both', 'left' or 'right'",
+    ),
+    "ratio of zero": (
+        chamber("front", 0.02, 0.145, "K_Q_ratio = 0"), "actuators.0.K_Q_ratio: given 0.0; allowed 0.01",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_wrong_actuators_are_one_clear_error(case, tmp_path):
+    actuators, message = CASES[case]
+    with pytest.raises(InputError) as caught:
+        load(with_actuators(tmp_path, actuators))
+    assert message in str(caught.value)
+
+
+DRIVES = {
+    "too few ratios": ("ratios = [1.0]\n", "trials.0.ratios: given [1.0]; allowed one number for each"),
+    "ratios and rear_ratio": (
+        "rear_ratio = 0.9\nratios = [1.0, 0.9]\n",
+        "trials.0.rear_ratio: given 0.9; allowed nothing, because the trial has ratios",
+    ),
+    "phases and phase": (
+        "phase = 0.1\nphases = [0.0, 0.1]\n", "trials.0.phase: given 0.1; allowed nothing",
+    ),
+    "phase in degrees": ("phases = [0.0, 36.0]\n", "trials.0.phases.1: given 36.0; allowed -1 to 1"),
+    "bias without chamber": (
+        "biases = [1e3, 1e3, 1e3]\n", "trials.0.biases: given [1000.0, 1000.0, 1000.0]; allowed one",
+    ),
+    "NaN": ("ratios = [nan, 1.0]\n", "trials.0.ratios.0: given nan; allowed -20 to 20"),
+    "speed of a clamped robot": (
+        "start_speed = 0.2\n", 'trials.0.start_speed: given 0.2; allowed 0, unless support is "free"',
+    ),
+    "towed free robot": (
+        'support = "free"\nheave = 0.01\n',
+        'trials.0.heave: given 0.01; allowed 0, unless support is "clamped"',
+    ),
+    "unknown support": ('support = "pinned"\n', "trials.0.support: given 'pinned'; allowed 'clamped'"),
+    "half a lead stride": ("lead_strides = 0.5\n", "trials.0.lead_strides: given 0.5"),
+    "lead with another clamp frequency": (
+        "lead_strides = 2\nheave = 0.01\nclamp_frequency = 1.0\n",
+        "trials.0.lead_strides: given 2; allowed 0 for a recorded drive",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", DRIVES)
+def test_wrong_drives_are_one_clear_error(case, tmp_path):
+    keys, message = DRIVES[case]
+    old = "rear_ratio = 0.9\nphase = 0.1\n"
+    with pytest.raises(InputError) as caught:
+        load(write_small_experiment(tmp_path, (old, keys)))
+    assert message in str(caught.value)
+
+
+def test_chambers_are_described_only_once(tmp_path):
+    with pytest.raises(
+        InputError, match=r"robot\.front_chamber: given \[0\.02, 0\.145\]; allowed "
+    ):
+        load(write_small_experiment(tmp_path, ("[[trials]]", f"{FRONT}[[trials]]")))
+    with pytest.raises(
+        InputError, match=r"trials\.0\.amplitude: given 150000\.0; allowed 0, as the"
+    ):
+        load(write_small_experiment(tmp_path, (SPANS, "")))
+
+
+def test_a_recorded_drive_has_a_column_for_each_chamber(tmp_path):
+    recorded = (
+        "frequency = 4.0\namplitude = 150000.0\nrear_ratio = 0.9\nphase = 0.1\n",
+        'waveform = "recorded"\ndrive_file = "drive.csv"\n',
+    )
+    path = with_actuators(tmp_path, evenly(3), recorded)
+    t = np.linspace(0.0, 0.8, 81)
+    table = np.stack([t, *(5e4 * np.sin(12.0 * t + i) for i in range(3))], axis=1)
+    header = "t_s,p_c0_Pa,p_c1_Pa,p_c2_Pa"
+    np.savetxt(tmp_path / "drive.csv", table, delimiter=",", header=header, comments="")
+    waves = to_model(load(path)).drive.waves
+    np.testing.assert_allclose([x.values for x in waves], table[:, 1:].T)
+    text = (tmp_path / "drive.csv").read_text().replace("p_c1_Pa", "p_rear_Pa")
+    (tmp_path / "drive.csv").write_text(text)
+    with pytest.raises(
+        InputError, match="column p_c1_Pa is missing; given t_s, p_c0_Pa, p_rear_Pa"
+    ):
+        to_model(load(path))

@@ -1,0 +1,99 @@
+"""Tests of trials of a free robot, and of trials that begin in periodic motion."""
+
+import numpy as np
+import pytest
+
+from slider_jax.experiment.load import load, to_model
+from slider_jax.simulation.trial import simulate_trial
+from slider_jax.supports import Free
+from tests.support.experiments import write_small_experiment
+
+FREE = ("tow_speed = 0.0\n", 'support = "free"\n')
+WHERE = """
+[[sensors.channels]]
+kind = "marker"
+name = "head"
+s = 0.0
+columns = ["x_m", "y_m"]
+
+[[sensors.channels]]
+kind = "speed"
+columns = ["u_m_per_s"]
+
+[[sensors.channels]]
+kind = "angle"
+name = "yaw"
+s = 0.0
+columns = ["yaw_rad"]
+
+[[trials]]"""
+
+
+def run_with(folder, *changes, **options):
+    path = write_small_experiment(folder, FREE, ("\n[[trials]]", WHERE), *changes)
+    return simulate_trial(load(path), **options)
+
+
+def test_a_free_robot_feels_no_clamp_and_moves(tmp_path):
+    series = run_with(tmp_path).series
+    np.testing.assert_allclose(series["thrust"], 0.0, atol=1e-9)
+    np.testing.assert_allclose(series["recoil"], 0.0, atol=1e-9)
+    assert abs(series["head_x"][-1]) > 1e-4 and np.ptp(series["yaw"]) > 0.01
+
+
+def test_the_heading_turns_the_path_and_nothing_else(tmp_path):
+    straight = run_with(tmp_path).series
+    turned = run_with(tmp_path, ('support = "free"', 'support = "free"\nheading = 0.7')).series
+    np.testing.assert_allclose(turned["speed"], straight["speed"], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(turned["yaw"][1:] - 0.7, straight["yaw"][1:], atol=1e-9)
+    x, y = straight["head_x"], straight["head_y"]
+    c, s = np.cos(0.7), np.sin(0.7)
+    np.testing.assert_allclose(turned["head_x"], c * x - s * y, atol=1e-9)
+    np.testing.assert_allclose(turned["head_y"], s * x + c * y, atol=1e-9)
+
+
+def test_a_free_robot_without_drive_coasts(tmp_path):
+    """No force of the model resists straight motion, so the speed stays."""
+    still = ("amplitude = 150000.0", "amplitude = 0.0")
+    series = run_with(
+        tmp_path, still, ('support = "free"', 'support = "free"\nstart_speed = 0.3')
+    ).series
+    np.testing.assert_allclose(series["speed"][1:], 0.3, rtol=1e-9)
+    t = np.linspace(0.0, 0.75, len(series["head_x"]))
+    np.testing.assert_allclose(series["head_x"], 0.3 * t, atol=1e-9)
+
+
+def test_the_momentum_of_a_free_robot_in_air_stays(tmp_path):
+    """Without water, the chambers cannot move the centre of mass: dp/dt = 0 in both directions."""
+    air = ("C_d = 3.0\nm_a = 1.0", "C_d = 0.0\nm_a = 0.0")
+    short = ("step = 0.005", "step = 0.001")
+    run = run_with(tmp_path, air, short, shape=True)
+    line = (
+        run.series["midline"] + np.stack([run.series["head_x"], run.series["head_y"]], 1)[..., None]
+    )
+    ds = np.linalg.norm(np.diff(line[0], axis=1), axis=0)
+    centre = (0.5 * (line[..., 1:] + line[..., :-1]) * ds).sum(-1) / ds.sum()
+    moved = np.abs(centre - centre[0]).max()
+    assert moved < 0.01 * np.ptp(line[..., 0], axis=0).max()
+
+
+def test_lead_strides_begin_the_trial_in_later_strides(tmp_path):
+    """The trial with a lead equals the end of a longer trial from rest."""
+    whole = run_with(tmp_path, ("duration = 0.75", "duration = 1.25"))
+    late = run_with(tmp_path, ('support = "free"', 'support = "free"\nlead_strides = 2'))
+    assert late.columns["t_s"][0] == 0.0 and late.t[0] == 0.0
+    n = len(late.t)
+    for name, values in whole.series.items():
+        np.testing.assert_allclose(late.series[name], values[-n:], rtol=1e-9, atol=1e-12)
+    columns = whole.columns["t_s"] >= 0.5 - 1e-9
+    np.testing.assert_allclose(
+        late.columns["x_m"], whole.columns["x_m"][columns], rtol=1e-9, atol=1e-12
+    )
+
+
+def test_the_support_comes_from_the_trial(tmp_path):
+    path = write_small_experiment(
+        tmp_path, ("tow_speed = 0.0", 'support = "free"\nstart_speed = 0.1')
+    )
+    support = to_model(load(path)).support
+    assert isinstance(support, Free) and support.speed == pytest.approx(0.1)
