@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.beam.equations import Reference, Section, Structure, equations, section
+from slider_jax.beam.equations import Reference, Section, Structure, equations, moment_law, section
 from slider_jax.beam.state import Fields, Unknowns, fields
 from slider_jax.dynamics.block_solver import BeamOperator
+from slider_jax.dynamics.shapes import Shape
 from slider_jax.effects import (
     MOUNT_LAG,
     BendingMoment,
@@ -37,6 +38,7 @@ class Stage(eqx.Module):
     active_moment: Float[Array, " cells"]
     water: Float[Array, "2 2"]
     t: Array
+    shape: Shape | None = None
 
 
 @eqx.filter_jit
@@ -49,7 +51,19 @@ def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
     x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
     force = total_force(stage.effects, x)
     extra = sum((m for m, _ in internal_moments(x, stage)), jnp.zeros_like(mid.M))
-    return equations(mid, slope, x, force, extra - stage.active_moment)
+    bending = moment_law(mid, x, extra - stage.active_moment)
+    return equations(mid, slope, x, force, _with_shape(bending, x, stage))
+
+
+def _with_shape(bending: Array, x: Section, stage: Stage) -> Array:
+    """Returns the residual of the moment law, or of the prescribed curvature where there is one.
+
+    The factor gives both conditions the same derivative with respect to the curvature.
+    """
+    if stage.shape is None:
+        return bending
+    factor = x.EI * (stage.reference.dt + x.damping_time)
+    return jnp.where(stage.shape.cells, factor * (stage.shape.rate - x.kappa_t), bending)
 
 
 def internal_moments(x: Section, stage: Stage) -> list[tuple[Array, Array]]:
