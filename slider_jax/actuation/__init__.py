@@ -2,6 +2,7 @@
 import `beam`."""
 
 from slider_jax.actuation.actuator import Actuator, Couple
+from slider_jax.actuation.measured_moment import MeasuredMoment
 from slider_jax.actuation.moment import chamber_windows
 from slider_jax.actuation.prescribed_shape import (
     PrescribedShape,
@@ -11,6 +12,7 @@ from slider_jax.actuation.prescribed_shape import (
     recorded_shape,
 )
 from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw
+from slider_jax.actuation.tendon import LengthTendon, Tendon, TensionTendon
 from slider_jax.actuation.waveform import Held, Recorded, SineWave, SquareWave, Trapezoid, Waveform
 
 __all__ = [
@@ -19,12 +21,16 @@ __all__ = [
     "FirstOrderLag",
     "Held",
     "Ideal",
+    "LengthTendon",
+    "MeasuredMoment",
     "PrescribedShape",
     "PressureLaw",
     "Recorded",
     "RecordedShape",
     "SineWave",
     "SquareWave",
+    "Tendon",
+    "TensionTendon",
     "Trapezoid",
     "TravellingWave",
     "Waveform",

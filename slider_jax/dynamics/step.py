@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, PyTree
 
-from slider_jax.beam.equations import Reference, Section, strain
+from slider_jax.beam.equations import Reference, Section
 from slider_jax.beam.parameters import Numerics, Scalar, grid_of, scales_of
 from slider_jax.beam.state import Memory, Unknowns, curved_state, fields, straight_state, to_body
 from slider_jax.dynamics.model import Mesh, Model, make_mesh
@@ -111,6 +111,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             active_moment=chambers.acting @ mesh.chambers,
             water=jnp.stack(jax.jvp(model.water_velocity, (t,), (jnp.ones_like(t),))),
             t=t,
+            actuators=model.actuators,
             shape=shape,
         )
         guess = jnp.tensordot(predictor, carry.history, 1)
@@ -127,16 +128,16 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         converged = solution.result == optx.RESULTS.successful
         ok = carry.ok & converged
         y = jnp.where(ok, solution.value, carry.history[-1])
-        head = fields(y[:, -1])
+        head, section = fields(y[:, -1]), at_cells(y, stage)
         omega = turning_rate(head, stage)
         anchor = _blend(_anchor(base, support, t), _anchor(carry.memory, support, t), weight)
         anchor = anchor + dt * support.anchor_velocity(head, omega, t)
         solved = Memory(
             motion=y[3:],
-            strain=strain(mesh.grid.mid(y[0]), mesh.structure, stage.reference),
+            strain=section.strain,
             head=anchor - support.anchor_offset(head.phi, t),
             load=reference.load + dt * load_rates(y[:, -1], stage),
-            internal=tuple(z for _, z in internal_moments(at_cells(y, stage), stage)),
+            internal=tuple(z for _, z in internal_moments(section, stage)),
         )
         memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), solved, carry.memory)
         new = Carry(

@@ -144,10 +144,7 @@ def test_midline_and_curvature_agree_for_a_simulated_body():
     assert found == pytest.approx(kappa[60, 2:-2], abs=0.01 * np.abs(kappa).max())
 
 
-@pytest.mark.parametrize(
-    "samples",
-    [np.zeros((5, 4)), np.full((5, 3), np.nan)],
-)
+@pytest.mark.parametrize("samples", [np.zeros((5, 4)), np.full((5, 3), np.nan)])
 def test_wrong_samples_of_a_shape_are_an_input_error(samples):
     with pytest.raises(InputError, match=r"curvature of a recorded shape: given .* allowed"):
         recorded_shape(0.0, L, np.arange(3.0), np.arange(5.0), samples)
