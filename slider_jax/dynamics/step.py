@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from slider_jax.beam.equations import Reference, Section, strain
 from slider_jax.beam.parameters import Numerics, Scalar, grid_of, scales_of
-from slider_jax.beam.state import Memory, Unknowns, fields, straight_state, to_body
+from slider_jax.beam.state import Memory, Unknowns, fields, node_positions, straight_state, to_body
 from slider_jax.dynamics.model import Mesh, Model
 from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
 from slider_jax.dynamics.pressures import Chambers, start_chambers
@@ -22,7 +22,6 @@ from slider_jax.dynamics.residual import (
     jacobian,
     load_rates,
     residual,
-    turning_rate,
 )
 from slider_jax.dynamics.time_schemes import Scheme, extrapolation
 from slider_jax.effects import BendingMoment, of_place
@@ -99,19 +98,36 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         t, weight, predictor, chambers = stage_inputs
         reference = _blend(base, carry.memory, weight)
         dt = scheme.gamma * h
+        at_reference = _reference(reference, mesh, dt)
+        anchor = _blend(_anchor(base, support, t), _anchor(carry.memory, support, t), weight)
+
+        def head_of(y):
+            head = fields(y[:, -1])
+            omega = (head.phi - reference.motion[2, -1]) / dt
+            moved = anchor + dt * support.anchor_velocity(head, omega, t)
+            return moved - support.anchor_offset(head.phi, t)
+
+        def strain_of(y):
+            return strain(mesh.grid.mid(y[0]), mesh.structure, at_reference)
+
+        def place():
+            """Predicts the positions (2, cells) [m]; the error is of third order in the step."""
+            nodes = node_positions(guess[5], strain_of(guess), head_of(guess), mesh.grid)
+            return mesh.grid.mid(nodes)
+
+        guess = jnp.tensordot(predictor, carry.history, 1)
         stage = Stage(
             structure=mesh.structure,
             effects=model.effects,
             support=support,
-            reference=_reference(reference, mesh, dt),
+            reference=at_reference,
             phi_head=reference.motion[2, -1],
             load_head=reference.load,
             pressure=chambers.acting @ mesh.windows,
             active_moment=chambers.acting @ mesh.chambers,
-            water=jnp.stack(jax.jvp(model.water_velocity, (t,), (jnp.ones_like(t),))),
+            water=model.water_at(place, t),
             t=t,
         )
-        guess = jnp.tensordot(predictor, carry.history, 1)
         solution = optx.root_find(
             residual,
             solver,
@@ -125,14 +141,10 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         converged = solution.result == optx.RESULTS.successful
         ok = carry.ok & converged
         y = jnp.where(ok, solution.value, carry.history[-1])
-        head = fields(y[:, -1])
-        omega = turning_rate(head, stage)
-        anchor = _blend(_anchor(base, support, t), _anchor(carry.memory, support, t), weight)
-        anchor = anchor + dt * support.anchor_velocity(head, omega, t)
         solved = Memory(
             motion=y[3:],
-            strain=strain(mesh.grid.mid(y[0]), mesh.structure, stage.reference),
-            head=anchor - support.anchor_offset(head.phi, t),
+            strain=strain_of(y),
+            head=head_of(y),
             load=reference.load + dt * load_rates(y[:, -1], stage),
             internal=tuple(z for _, z in internal_moments(at_cells(y, stage), stage)),
         )

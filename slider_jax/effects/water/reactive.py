@@ -18,11 +18,24 @@ class ReactiveForce(ForceDensity):
         F_tau = -m_A ( -u_n omega + u_tau u_n kappa + u_n du_n/ds ) - dm_A/ds u_n^2/2
         m_A   = m_a pi rho H^2/4
 
-    The robot's height H is uniform, so dm_A/ds = 0. `HeadAddedMass` adds the point force at a blunt
+    Where dU/ds is the slope of the water's velocity, u includes the local water velocity U. In water
+    with a velocity gradient, the impulse m_A u_n n also refracts, which adds the force
+
+        f = -m_A u_n grad(U_n)
+
+    The force of a straight strip is then F_n = -m_A (dV_n/dt - n . (dU/dt + (U_tau tau + V_n n) .
+    grad U)), which also follows from the potential flow around the strip, and F_tau = 0. The
+    theory is exact for potential flow that changes little over the height H. The force does not
+    include the pressure gradient of the accelerating water on the displaced volume (Froude-Krylov
+    force, rho A DU/Dt with the cross-section A): a thin robot displaces little water.
+
+    If H is uniform, dm_A/ds = 0. `HeadAddedMass` adds the point force at a blunt
     head; docs/explanation/decisions.md explains why the base model omits this force.
 
     Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
-    R. Soc. B 179, 125-138; the equations for F_a of the paper in `slider_jax.paper`.
+    R. Soc. B 179, 125-138; the equations for F_a of the paper in `slider_jax.paper`. Nonuniform
+    water: Candelier, F., Porez, M. and Boyer, F. (2013), Note on the swimming of an elongated body
+    in a non-uniform flow, J. Fluid Mech. 716, 616-637.
     """
 
     title = "reactive force of the added mass"
@@ -45,4 +58,7 @@ class ReactiveForce(ForceDensity):
         flux_s = x.u_tau_s * x.u_n + x.u_tau * x.u_n_s
         F_n = -m_A * (x.u_n_t - flux_s + x.u_n**2 * x.kappa / 2.0)
         F_tau = -m_A * (-x.u_n * x.omega + x.u_tau * x.u_n * x.kappa + x.u_n * x.u_n_s)
+        if x.U_n_gradient is not None:
+            along_tau, along_n = x.U_n_gradient
+            F_tau, F_n = F_tau - m_A * x.u_n * along_tau, F_n - m_A * x.u_n * along_n
         return F_tau - m_A_s * x.u_n**2 / 2.0, F_n + m_A_s * x.u_tau * x.u_n
