@@ -16,6 +16,7 @@ A time derivative is (value - reference)/dt. `Reference` contains the reference 
 """
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.beam.state import Fields, to_body, to_plane
@@ -101,8 +102,8 @@ class Section(eqx.Module):
     u_n_s: Array
     u_tau_t: Array
     u_n_t: Array
-    U_n_gradient: tuple[Array, Array] | None = None
-    """Slopes [1/s] of the water's velocity U_n along tau and along n; None in uniform water."""
+    U_n_gradient: Array | None = None
+    """Slopes (2, cells) [1/s] of the water velocity U_n along tau and n; None in uniform water."""
 
 
 def strain(T, structure: Structure, reference: Reference):
@@ -149,7 +150,7 @@ def section(
         A_n = A_n + mid.V_tau * tau_slope[1] + mid.V_n * n_slope[1]
         u_tau_s = u_tau_s - (1.0 + eps) * tau_slope[0]
         u_n_s = u_n_s - (1.0 + eps) * tau_slope[1]
-        gradient = (tau_slope[1], n_slope[1])
+        gradient = jnp.stack([tau_slope[1], n_slope[1]])
     return Section(
         **vars(structure),
         t=t,

@@ -29,25 +29,27 @@ Height = Annotated[float, Quantity(0.002, 0.5, "m")]
 WaterDensity = Annotated[float, Quantity(900.0, 1300.0, "kg/m^3")]
 Span = Annotated[tuple[Length, Length], FROM_LIST]
 Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
+Position = Annotated[float, Quantity(-10.0, 10.0, "m")]
 Force = Annotated[float, Quantity(0.0, 10.0, "N")]
 Share = Annotated[float, Quantity(0.0, 0.5)]
 FEWEST_NODES = 11
 """Smallest number of nodes along a robot; fewer nodes do not resolve the bending."""
 
 
-def _plain_name(name: str) -> str:
-    """Returns `name`, or raises an error if `name` is not a CSV file name without folder."""
+def _plain_name(name: str, ending: str = ".csv") -> str:
+    """Returns `name`, or raises an error if `name` is not a file name without folder."""
     parts = PurePath(name.replace("\\", "/")).parts
-    if len(parts) != 1 or parts[0] in ("..", ".") or not name.endswith(".csv"):
+    if len(parts) != 1 or parts[0] in ("..", ".") or not name.endswith(ending):
         raise PydanticCustomError(
             "file_name",
-            "given {given}; allowed a plain file name without folder, ending in .csv",
-            {"given": repr(name)},
+            "given {given}; allowed a plain file name without folder, ending in {ending}",
+            {"given": repr(name), "ending": ending},
         )
     return name
 
 
-FileName = Annotated[str, AfterValidator(_plain_name)]
+FileName = Annotated[str, AfterValidator(lambda name: _plain_name(name))]
+GridFileName = Annotated[str, AfterValidator(lambda name: _plain_name(name, ".npz"))]
 
 
 class Table(BaseModel):
@@ -282,10 +284,47 @@ class SensorsTable(Table):
     sample_rate: Annotated[float, Quantity(1.0, 1e5, "Hz")] = 500.0
 
 
+class VortexStreetTable(Table):
+    """[water.vortex_street]: two infinite rows of vortices in the stream, as in `VortexStreet`."""
+
+    spacing: Annotated[float, Quantity(0.005, 10.0, "m")]
+    circulation: Annotated[float, Quantity(-1.0, 1.0, "m^2/s")]
+    core: Annotated[float, Quantity(1e-4, 1.0, "m")]
+    ratio: Annotated[float, Quantity(0.05, 2.0)] = 0.281
+    advection: Speed | None = None
+    position: Annotated[tuple[Position, Position], FROM_LIST] = (0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _speed_is_plausible(self) -> Self:
+        fastest = abs(self.circulation) / (12.566 * self.core)
+        if fastest > 3.0:
+            allowed = "a core in which the water is at most 3 m/s fast: circulation/(4 pi core)"
+            _fail("core", f"{self.core:g} m ({fastest:.3g} m/s)", allowed)
+        return self
+
+
 class WaterTable(Table):
-    """[water]: velocity (x, y) of a steady uniform stream; x points forward, y to the left."""
+    """[water]: velocity (x, y) of a steady uniform stream; x points forward, y to the left.
+
+    `vortex_street` adds vortices to the stream. `field` is the NPZ file of a velocity field.
+    """
 
     velocity: Annotated[tuple[Speed, Speed], FROM_LIST] = (0.0, 0.0)
+    field: GridFileName | None = None
+    vortex_street: VortexStreetTable | None = None
+
+    @property
+    def files(self) -> list[str]:
+        """Names of the files that the table needs."""
+        return [] if self.field is None else [self.field]
+
+    @model_validator(mode="after")
+    def _field_is_the_whole_velocity(self) -> Self:
+        others = {"velocity": any(self.velocity), "vortex_street": self.vortex_street is not None}
+        for name, given in others.items():
+            if self.field is not None and given:
+                _fail(name, "a value", "nothing, because `field` contains the whole velocity")
+        return self
 
 
 class NumericsTable(Table):

@@ -13,11 +13,10 @@ from slider_jax.beam.equations import LocalWater
 class WaterField(eqx.Module):
     """Velocity of the water as a function of place and time: `Model(..., water=field)`.
 
-    A subclass defines `velocity` for one place. JAX computes the derivatives, so the function must
-    be differentiable; its slopes should be continuous. At t = 0 the head of a robot is at (0, 0) and
-    the straight body extends along -x. `WaterMotion` effects add a uniform velocity.
-
-    The body does not change the field. `ReactiveForce` states which forces the field causes.
+    A subclass defines `velocity` for one place. JAX differentiates this function, and its slopes
+    should be continuous. At t = 0, the head of the robot is at (0, 0) and the straight body extends
+    along -x. `WaterMotion` effects add a uniform velocity. The body does not change the field.
+    `ReactiveForce` states which forces of nonuniform water are included.
     """
 
     @abstractmethod

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from slider_jax.errors import InputError
 from slider_jax.water.base import WaterField
 
-AXES = {"t_s": "t", "y_m": "y", "x_m": "x"}
+AXES = ("t_s", "y_m", "x_m")
 """Arrays of a file with the axes of the velocities, in their order."""
 VELOCITIES = ("u_m_per_s", "v_m_per_s")
 """Arrays of a file with the velocities along x and y."""
@@ -42,6 +42,14 @@ class GriddedField(WaterField):
     """Spacing [s, m, m] of the grid."""
     periodic: bool = eqx.field(static=True)
     """Whether the field repeats in time. A steady field has one time and is periodic."""
+
+    @property
+    def ends(self) -> dict[str, tuple[float, float]]:
+        """First and last value of each axis of the grid, by the name of the array in a file."""
+        last = self.start + self.spacing * (jnp.asarray(self.values.shape[1:], float) - 3.0)
+        return {
+            name: (float(a), float(b)) for name, a, b in zip(AXES, self.start, last, strict=True)
+        }
 
     def velocity(self, place, t):
         u = (jnp.stack([t, place[1], place[0]]) - self.start) / self.spacing
@@ -139,14 +147,13 @@ def gridded(
                 f"{shape[0] * spacing[0]:g} s, the number of times multiplied by their spacing",
             )  # fmt: skip
         spacing[0] = period / shape[0]
-    values = np.stack(both)
-    edges = dict(mode="reflect", reflect_type="odd")
+    values, in_time = np.stack(both), 1
     if periodic:
         values = np.pad(values, [(0, 0), (1, 2), (0, 0), (0, 0)], mode="wrap")
-        values = np.pad(values, [(0, 0), (0, 0), (1, 1), (1, 1)], **edges)
-    else:
-        values = np.pad(values, [(0, 0), (1, 1), (1, 1), (1, 1)], **edges)
-    return GriddedField(*map(jnp.asarray, (values, first, spacing)), periodic)
+        in_time = 0
+    pad = [(0, 0), (in_time, in_time), (1, 1), (1, 1)]
+    values = np.pad(values, pad, mode="reflect", reflect_type="odd")
+    return GriddedField(jnp.asarray(values), jnp.asarray(first), jnp.asarray(spacing), periodic)
 
 
 def read_field(path: Path | str) -> GriddedField:
@@ -182,4 +189,5 @@ def read_field(path: Path | str) -> GriddedField:
         if arrays[PERIOD].size != 1 or not arrays[PERIOD].item() > 0.0:
             raise InputError.value(f"{path}, {PERIOD}", arrays[PERIOD], "one positive number")
         period = float(arrays[PERIOD].item())
-    return gridded(*(arrays[name] for name in needed), period, str(path))
+    t, x, y, u, v = (arrays[name] for name in needed)
+    return gridded(t, x, y, u, v, period, str(path))

@@ -24,7 +24,7 @@ class VortexStreet(WaterField):
 
     In the core, r < r_c, the velocity differs from that of a point vortex. With Gamma > 0, the
     water between the rows moves towards +x relative to the stream: this is the wake of a body at
-    larger x in a stream along -x. `karman_speed` returns the speed at which the street then moves.
+    larger x in a stream along -x. `karman_speed` returns the speed of the street in the stream.
 
     Source: Lamb, H. (1932), Hydrodynamics, 6th ed., art. 156; regularisation: Krasny, R. (1986),
     Desingularization of periodic vortex sheet roll-up, J. Comput. Phys. 65, 292-313.
@@ -64,11 +64,9 @@ class VortexStreet(WaterField):
         return -scale * jnp.tanh(Y) / below, scale * decay * jnp.sin(X) / below
 
 
-def karman_speed(
-    spacing: Scalar, circulation: Scalar, stream: Scalar, ratio: Scalar = KARMAN_RATIO
-) -> Scalar:
-    """Returns the speed [m/s] along x of a street of point vortices in a stream [m/s] along x.
+def karman_speed(spacing: Scalar, circulation: Scalar, ratio: Scalar = KARMAN_RATIO) -> Scalar:
+    """Returns the speed [m/s] along x, relative to the stream, of a street of point vortices.
 
-    The speed is U_x + Gamma/(2 a) tanh(pi b/a). Source: as in `VortexStreet`.
+    The speed is Gamma/(2 a) tanh(pi b/a). Source: as in `VortexStreet`.
     """
-    return stream + 0.5 * circulation / spacing * jnp.tanh(math.pi * ratio)
+    return 0.5 * circulation / spacing * jnp.tanh(math.pi * ratio)

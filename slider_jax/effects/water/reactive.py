@@ -18,16 +18,16 @@ class ReactiveForce(ForceDensity):
         F_tau = -m_A ( -u_n omega + u_tau u_n kappa + u_n du_n/ds ) - dm_A/ds u_n^2/2
         m_A   = m_a pi rho H^2/4
 
-    Where dU/ds is the slope of the water's velocity, u includes the local water velocity U. In water
-    with a velocity gradient, the impulse m_A u_n n also refracts, which adds the force
+    In nonuniform water (`WaterField`), u is relative to the water at the place of the section, and
+    the velocity gradient of the water turns and stretches the impulse m_A u_n n:
 
-        f = -m_A u_n grad(U_n)
+        f = f(u) - m_A u_n grad(U_n)
 
-    The force of a straight strip is then F_n = -m_A (dV_n/dt - n . (dU/dt + (U_tau tau + V_n n) .
-    grad U)), which also follows from the potential flow around the strip, and F_tau = 0. The
-    theory is exact for potential flow that changes little over the height H. The force does not
-    include the pressure gradient of the accelerating water on the displaced volume (Froude-Krylov
-    force, rho A DU/Dt with the cross-section A): a thin robot displaces little water.
+    With this term, a body of uniform height has no tangential force, because the pressure acts
+    normal to a strip. For a straight strip, the force is that of potential flow:
+    F_n = -m_A (dV_n/dt - n . (dU/dt + U_tau dU/dtau + V_n dU/dn)). The flow must change little over
+    the height H. The force omits the pressure gradient of the accelerating water on the displaced
+    volume (Froude-Krylov force rho A DU/Dt, with the cross-section A), also in uniform water.
 
     If H is uniform, dm_A/ds = 0. `HeadAddedMass` adds the point force at a blunt
     head; docs/explanation/decisions.md explains why the base model omits this force.
@@ -59,6 +59,6 @@ class ReactiveForce(ForceDensity):
         F_n = -m_A * (x.u_n_t - flux_s + x.u_n**2 * x.kappa / 2.0)
         F_tau = -m_A * (-x.u_n * x.omega + x.u_tau * x.u_n * x.kappa + x.u_n * x.u_n_s)
         if x.U_n_gradient is not None:
-            along_tau, along_n = x.U_n_gradient
-            F_tau, F_n = F_tau - m_A * x.u_n * along_tau, F_n - m_A * x.u_n * along_n
+            refraction = m_A * x.u_n * x.U_n_gradient
+            F_tau, F_n = F_tau - refraction[0], F_n - refraction[1]
         return F_tau - m_A_s * x.u_n**2 / 2.0, F_n + m_A_s * x.u_tau * x.u_n
