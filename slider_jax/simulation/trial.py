@@ -194,8 +194,8 @@ def _failure(prepared: PreparedTrial, t: float) -> SolverError:
     h = prepared.grid.h
     if isinstance(prepared.model.water, GriddedField):
         return SolverError(
-            f"{prepared.trial.file}: the step to t = {t:.6g} s did not converge; give a larger field "
-            "if the robot left the grid of the water's velocity; otherwise use a shorter step "
+            f"{prepared.trial.file}: the step to t = {t:.6g} s did not converge; give a larger "
+            "field if the robot left the grid of the water; otherwise use a shorter step "
             f"(--step {0.5 * h:.2g})"
         )
     return SolverError(
