@@ -14,7 +14,7 @@ PACKAGES = ("slider_jax", "calibration", "rig")
 LAYERS = [
     {"slider_jax.errors", "slider_jax.precision"},
     {"slider_jax.beam"},
-    {"slider_jax.io", "slider_jax.actuation", "slider_jax.supports"},
+    {"slider_jax.io", "slider_jax.actuation", "slider_jax.supports", "slider_jax.water"},
     {"slider_jax.effects"},
     {"slider_jax.dynamics"},
     {"slider_jax.observables", "slider_jax.paper"},

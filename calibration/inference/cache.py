@@ -89,8 +89,8 @@ def _digest(content: Any) -> str:
 
 
 def input_settings(paths: Sequence[Path], folder: Path | None = None) -> dict[str, Any]:
-    """Returns digests of the input files `paths` and of all CSV files in `folder`."""
-    tables = sorted(folder.glob("*.csv")) if folder else []
+    """Returns digests of the input files `paths` and of all CSV and NPZ files in `folder`."""
+    tables = sorted([*folder.glob("*.csv"), *folder.glob("*.npz")]) if folder else []
     return {"inputs": [input_file(p) for p in (*paths, *tables)]}
 
 

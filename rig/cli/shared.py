@@ -67,7 +67,8 @@ def copy_experiment(path: Path, folder: Path) -> None:
     """Copies an experiment file to experiment.toml in a folder, and the files that it names."""
     table, _ = load_trials(path)
     write_bytes(folder / "experiment.toml", path.read_bytes())
-    for name in {x.drive_file for x in table.trials if x.drive_file} | set(table.robot.files):
+    drives = [x.drive_file for x in table.trials if x.drive_file]
+    for name in {*drives, *table.robot.files, *table.water.files}:
         write_bytes(folder / name, (path.parent / name).read_bytes())
 
 

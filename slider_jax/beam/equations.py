@@ -16,9 +16,10 @@ A time derivative is (value - reference)/dt. `Reference` contains the reference 
 """
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.beam.state import Fields, to_body
+from slider_jax.beam.state import Fields, to_body, to_plane
 
 
 class Structure(eqx.Module):
@@ -52,6 +53,17 @@ class Reference(eqx.Module):
     strain: Array
     internal: tuple[Array, ...]
     dt: Array
+
+
+class LocalWater(eqx.Module):
+    """Nonuniform water at the cells; vectors are (x, y)."""
+
+    velocity: Float[Array, "2 cells"]
+    """Velocity U [m/s]."""
+    rate: Float[Array, "2 cells"]
+    """dU/dt [m/s^2] at a fixed place."""
+    gradient: Float[Array, "2 2 cells"]
+    """dU_i/dx_j [1/s]."""
 
 
 class Section(eqx.Module):
@@ -90,6 +102,8 @@ class Section(eqx.Module):
     u_n_s: Array
     u_tau_t: Array
     u_n_t: Array
+    U_n_gradient: Array | None = None
+    """Slopes (2, cells) [1/s] of the water velocity U_n along tau and n; None in uniform water."""
 
 
 def strain(T, structure: Structure, reference: Reference):
@@ -99,21 +113,44 @@ def strain(T, structure: Structure, reference: Reference):
 
 
 def section(
-    mid: Fields, slope: Fields, structure: Structure, reference: Reference, water, pressure, t
+    mid: Fields,
+    slope: Fields,
+    structure: Structure,
+    reference: Reference,
+    water: Float[Array, "2 2"] | LocalWater,
+    pressure,
+    t,
 ) -> Section:
     """Returns the local state of the body in each cell at time `t` [s].
 
-    `mid` and `slope` are the means and slopes d/ds of the unknowns. `water` contains the velocity
-    [m/s] and acceleration [m/s^2] of the water, each (x, y) and uniform along the body. `pressure`
-    (cells,) [Pa] is the pressure of the chamber at each cell.
+    `mid` and `slope` are the means and slopes d/ds of the unknowns. `pressure` (cells,) [Pa] is the
+    pressure of the chamber at each cell. `water` contains the velocity U [m/s] and the acceleration
+    [m/s^2] of uniform water, each (x, y), or it is the `LocalWater` at the cells.
+
+    The time derivatives follow the body and the slopes are along the body, so in nonuniform water
+
+        (dU/dt)_body = dU/dt + (V . grad) U,    dU/ds = (1 + eps) (tau . grad) U
     """
     dt = reference.dt
     omega = (mid.phi - reference.phi) / dt
     V_tau_t = (mid.V_tau - reference.V_tau) / dt
     V_n_t = (mid.V_n - reference.V_n) / dt
     eps = strain(mid.T, structure, reference)
-    U_tau, U_n = to_body(water[0], mid.phi)
-    A_tau, A_n = to_body(water[1], mid.phi)
+    U, A = (water.velocity, water.rate) if isinstance(water, LocalWater) else (water[0], water[1])
+    U_tau, U_n = to_body(U, mid.phi)
+    A_tau, A_n = to_body(A, mid.phi)
+    u_tau_s, u_n_s = slope.V_tau - slope.phi * U_n, slope.V_n + slope.phi * U_tau
+    gradient = None
+    if isinstance(water, LocalWater):
+        x_slope, y_slope = water.gradient[:, 0], water.gradient[:, 1]
+        tau, n = to_plane(1.0, 0.0, mid.phi), to_plane(0.0, 1.0, mid.phi)
+        tau_slope = to_body(x_slope * tau[0] + y_slope * tau[1], mid.phi)
+        n_slope = to_body(x_slope * n[0] + y_slope * n[1], mid.phi)
+        A_tau = A_tau + mid.V_tau * tau_slope[0] + mid.V_n * n_slope[0]
+        A_n = A_n + mid.V_tau * tau_slope[1] + mid.V_n * n_slope[1]
+        u_tau_s = u_tau_s - (1.0 + eps) * tau_slope[0]
+        u_n_s = u_n_s - (1.0 + eps) * tau_slope[1]
+        gradient = jnp.stack([tau_slope[1], n_slope[1]])
     return Section(
         **vars(structure),
         t=t,
@@ -130,10 +167,11 @@ def section(
         V_n_t=V_n_t,
         u_tau=mid.V_tau - U_tau,
         u_n=mid.V_n - U_n,
-        u_tau_s=slope.V_tau - slope.phi * U_n,
-        u_n_s=slope.V_n + slope.phi * U_tau,
+        u_tau_s=u_tau_s,
+        u_n_s=u_n_s,
         u_tau_t=V_tau_t - omega * U_n - A_tau,
         u_n_t=V_n_t + omega * U_tau - A_n,
+        U_n_gradient=gradient,
     )
 
 

@@ -1,15 +1,19 @@
 """The physical model (robot, effects, pressure law, drive, support and water) and the mesh."""
 
+from collections.abc import Callable
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.actuation import Actuator, PressureLaw, Waveform, chamber_windows
-from slider_jax.beam.equations import Structure
+from slider_jax.beam.equations import LocalWater, Structure
 from slider_jax.beam.grid import Grid
 from slider_jax.beam.parameters import Numerics, Robot, Scalar, grid_of
 from slider_jax.effects import BodyChange, Effect, WaterMotion, of_place
 from slider_jax.supports import Support
+from slider_jax.water import WaterField
 
 
 class Drive(eqx.Module):
@@ -31,8 +35,8 @@ class Model(eqx.Module):
     pressure_law: PressureLaw
     drive: Drive
     support: Support
-    water: Float[Array, "2"] | tuple[Scalar, Scalar] = (0.0, 0.0)
-    """Steady uniform velocity (U_x, U_y) [m/s] of the water."""
+    water: Float[Array, "2"] | tuple[Scalar, Scalar] | WaterField = (0.0, 0.0)
+    """Steady uniform velocity (U_x, U_y) [m/s] of the water, or a nonuniform velocity field."""
     actuators: tuple[Actuator, ...] = ()
     """Actuators in addition to the chambers."""
 
@@ -45,11 +49,27 @@ class Model(eqx.Module):
         return robot
 
     def water_velocity(self, t: Array) -> Float[Array, "2"]:
-        """Returns the water's velocity (2,) [m/s] at `t` [s], including `WaterMotion` effects."""
-        velocity = jnp.stack([jnp.asarray(u, float) for u in self.water])
+        """Returns the uniform part (2,) [m/s] of the water's velocity at `t` [s].
+
+        It includes `WaterMotion` effects. A `WaterField` has no uniform part.
+        """
+        uniform = (0.0, 0.0) if isinstance(self.water, WaterField) else self.water
+        velocity = jnp.stack([jnp.asarray(u, float) for u in uniform])
         for effect in of_place(self.effects, WaterMotion):
             velocity = velocity + jnp.stack(effect.velocity(t))
         return velocity
+
+    def water_at(
+        self, place: Callable[[], Float[Array, "2 cells"]], t: Array
+    ) -> Float[Array, "2 2"] | LocalWater:
+        """Returns velocity and acceleration of uniform water at `t` [s], or the local water.
+
+        `place` returns the positions [m] of the cells; it is called only for a `WaterField`.
+        """
+        uniform = jnp.stack(jax.jvp(self.water_velocity, (t,), (jnp.ones_like(t),)))
+        if not isinstance(self.water, WaterField):
+            return uniform
+        return self.water.at_cells(place(), t, uniform)
 
 
 class Mesh(eqx.Module):

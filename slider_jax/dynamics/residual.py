@@ -6,7 +6,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.actuation import Actuator
-from slider_jax.beam.equations import Reference, Section, Structure, equations, moment_law, section
+from slider_jax.beam.equations import (
+    LocalWater,
+    Reference,
+    Section,
+    Structure,
+    equations,
+    moment_law,
+    section,
+)
 from slider_jax.beam.state import Fields, Unknowns, fields
 from slider_jax.dynamics.block_solver import BeamOperator, Update
 from slider_jax.dynamics.shapes import Shape
@@ -26,8 +34,9 @@ from slider_jax.supports import Support
 class Stage(eqx.Module):
     """The quantities that are constant while an implicit stage is solved.
 
-    `water` contains velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` [rad] and
-    `load_head` are reference values at the head; `load_head` is the filtered load (T, N, M).
+    `water` contains velocity [m/s] and acceleration [m/s^2] of uniform water, each (x, y), or it is
+    the water at the cells. `phi_head` [rad] and `load_head` are reference values at the head;
+    `load_head` is the filtered load (T, N, M).
     """
 
     structure: Structure
@@ -38,7 +47,7 @@ class Stage(eqx.Module):
     load_head: Float[Array, "3"]
     pressure: Float[Array, " cells"]
     active_moment: Float[Array, " cells"]
-    water: Float[Array, "2 2"]
+    water: Float[Array, "2 2"] | LocalWater
     t: Array
     actuators: tuple[Actuator, ...] = ()
     level: Array | None = None

@@ -43,6 +43,7 @@ from slider_jax.io.files import input_files
 from slider_jax.io.toml import read_toml, validate
 from slider_jax.paper import force_coefficients
 from slider_jax.supports import Clamped, Free, Support
+from slider_jax.water import VortexStreet, WaterField, karman_speed, read_field
 
 
 class Experiment(ExperimentTable):
@@ -57,8 +58,8 @@ class Experiment(ExperimentTable):
 
     @property
     def profiles(self) -> list[dict[str, Any]]:
-        """Paths and SHA-256 digests of the profiles of the robot's segments."""
-        return input_files(*(self.folder / name for name in self.robot.files))
+        """Paths and SHA-256 digests of the segments' profiles and of the water's field."""
+        return input_files(*(self.folder / name for name in (*self.robot.files, *self.water.files)))
 
     @property
     def channels(self) -> ChannelSet:
@@ -270,6 +271,40 @@ def _limited(
     return tuple(Clipped(x, *limit) for x, limit in zip(waves, limits, strict=True))
 
 
+def _water(experiment: Experiment, trial: Trial) -> tuple[float, float] | WaterField:
+    """Returns the water of a trial, checked for the time and the straight body's path."""
+    table = experiment.water
+    if table.vortex_street is not None:
+        values, stream = table.vortex_street.model_dump(), table.velocity
+        if values["advection"] is None:
+            of_speed = (values[name] for name in ("spacing", "circulation", "ratio"))
+            values["advection"] = stream[0] + karman_speed(*of_speed)
+        return VortexStreet(stream=stream, **values)
+    if table.field is None:
+        return table.velocity
+    path = experiment.folder / table.field
+    field = read_field(path)
+    duration = trial.lead + trial.duration
+    end = trial.tow_speed * duration
+    covered = {
+        "x_m": (min(end, 0.0) - sum(experiment.robot.lengths), max(end, 0.0)),
+        "y_m": (-trial.heave, trial.heave),
+    }
+    if not field.periodic:
+        covered["t_s"] = (0.0, duration)
+    for name, (low, high) in covered.items():
+        first, last = field.ends[name]
+        if first > low + 1e-9 or last < high - 1e-9:
+            what = (
+                "the duration" if name == "t_s" else "the path of the straight robot, and a margin"
+            )
+            raise InputError(
+                f"{path}: {name} covers {first:g} to {last:g}; allowed a field with {low:g} to "
+                f"{high:g}, {what} in {trial.file}; give a larger field"
+            )
+    return field
+
+
 def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
     """Returns the numerical settings and the time scheme of an experiment."""
     robot, numerics = experiment.robot, experiment.numerics
@@ -316,7 +351,7 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
         pressure_law=law,
         drive=_drive(experiment, trial),
         support=_support(trial),
-        water=experiment.water.velocity,
+        water=_water(experiment, trial),
     )
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 

@@ -135,7 +135,7 @@ def prepare(
     if recorded:
         times = recorded[0]
         spacing = (times[-1] - times[0]) / (len(times) - 1)
-    lead = trial.lead_strides / trial.frequency if trial.frequency else 0.0
+    lead = trial.lead
     delays = delays_of(experiment, trial)
     grid = step_grid(trial, longest, lead + trial.duration, spacing, played, delays)
     numerics, scheme = to_numerics(experiment)

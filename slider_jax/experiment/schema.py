@@ -19,9 +19,11 @@ from slider_jax.experiment.tables import (
     DampingTime,
     FileName,
     Force,
+    GridFileName,
     Height,
     Length,
     LinearDensity,
+    Position,
     Share,
     Span,
     Speed,
@@ -269,10 +271,47 @@ class SensorsTable(Table):
     channels: Annotated[tuple[ChannelTable, ...], FROM_LIST] = ()
 
 
+class VortexStreetTable(Table):
+    """[water.vortex_street]: two infinite rows of vortices in the stream, as in `VortexStreet`."""
+
+    spacing: Annotated[float, Quantity(0.005, 10.0, "m")]
+    circulation: Annotated[float, Quantity(-1.0, 1.0, "m^2/s")]
+    core: Annotated[float, Quantity(1e-4, 1.0, "m")]
+    ratio: Annotated[float, Quantity(0.05, 2.0)] = 0.281
+    advection: Speed | None = None
+    position: Annotated[tuple[Position, Position], FROM_LIST] = (0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _speed_is_plausible(self) -> Self:
+        fastest = abs(self.circulation) / (12.566 * self.core)
+        if fastest > 3.0:
+            allowed = "a core in which the water is at most 3 m/s fast: circulation/(4 pi core)"
+            fail("core", f"{self.core:g} m ({fastest:.3g} m/s)", allowed)
+        return self
+
+
 class WaterTable(Table):
-    """[water]: velocity (x, y) of a steady uniform stream; x points forward, y to the left."""
+    """[water]: velocity (x, y) of a steady uniform stream; x points forward, y to the left.
+
+    `vortex_street` adds vortices to the stream. `field` is the NPZ file of a velocity field.
+    """
 
     velocity: Annotated[tuple[Speed, Speed], FROM_LIST] = (0.0, 0.0)
+    field: GridFileName | None = None
+    vortex_street: VortexStreetTable | None = None
+
+    @property
+    def files(self) -> list[str]:
+        """Names of the files that the table needs."""
+        return [] if self.field is None else [self.field]
+
+    @model_validator(mode="after")
+    def _field_is_the_whole_velocity(self) -> Self:
+        others = {"velocity": any(self.velocity), "vortex_street": self.vortex_street is not None}
+        for name, given in others.items():
+            if self.field is not None and given:
+                fail(name, "a value", "nothing, because `field` contains the whole velocity")
+        return self
 
 
 class NumericsTable(Table):
@@ -353,6 +392,11 @@ class Trial(Table):
             allowed = "0 for a recorded drive, and for a clamp with its own frequency"
             fail("lead_strides", self.lead_strides, allowed)
         return self
+
+    @property
+    def lead(self) -> float:
+        """Time [s] that the simulation begins before the trial's time 0."""
+        return self.lead_strides / self.frequency if self.frequency else 0.0
 
     @property
     def clamp_moves(self) -> bool:

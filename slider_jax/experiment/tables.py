@@ -20,18 +20,19 @@ Height = Annotated[float, Quantity(0.002, 0.5, "m")]
 WaterDensity = Annotated[float, Quantity(900.0, 1300.0, "kg/m^3")]
 Span = Annotated[tuple[Length, Length], FROM_LIST]
 Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
+Position = Annotated[float, Quantity(-10.0, 10.0, "m")]
 Force = Annotated[float, Quantity(0.0, 10.0, "N")]
 Share = Annotated[float, Quantity(0.0, 0.5)]
 
 
-def _plain_name(name: str) -> str:
-    """Returns `name`, or raises an error if `name` is not a CSV file name without folder."""
+def _plain_name(name: str, ending: str = ".csv") -> str:
+    """Returns `name`, or raises an error if `name` is not a file name without folder."""
     parts = PurePath(name.replace("\\", "/")).parts
-    if len(parts) != 1 or parts[0] in ("..", ".") or not name.endswith(".csv"):
+    if len(parts) != 1 or parts[0] in ("..", ".") or not name.endswith(ending):
         raise PydanticCustomError(
             "file_name",
-            "given {given}; allowed a plain file name without folder, ending in .csv",
-            {"given": repr(name)},
+            "given {given}; allowed a plain file name without folder, ending in {ending}",
+            {"given": repr(name), "ending": ending},
         )
     return name
 
@@ -47,7 +48,8 @@ def _identifier(name: str) -> str:
     return name
 
 
-FileName = Annotated[str, AfterValidator(_plain_name)]
+FileName = Annotated[str, AfterValidator(lambda name: _plain_name(name))]
+GridFileName = Annotated[str, AfterValidator(lambda name: _plain_name(name, ".npz"))]
 Name = Annotated[str, AfterValidator(_identifier)]
 
 

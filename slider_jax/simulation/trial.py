@@ -23,6 +23,7 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.prepare import PreparedTrial, StepGrid, prepare, sample_series
 from slider_jax.experiment.schema import Trial
+from slider_jax.water import GriddedField
 
 State = TypeVar("State")
 CHUNK = 250
@@ -199,6 +200,12 @@ def simulate_prepared(
 
 def _failure(prepared: PreparedTrial, t: float) -> SolverError:
     h = prepared.grid.h
+    if isinstance(prepared.model.water, GriddedField):
+        return SolverError(
+            f"{prepared.trial.file}: the step to t = {t:.6g} s did not converge; give a larger "
+            "field if the robot left the grid of the water; otherwise use a shorter step "
+            f"(--step {0.5 * h:.2g})"
+        )
     return SolverError(
         f"{prepared.trial.file}: the step to t = {t:.6g} s (length {h:.3g} s) did not converge; "
         f"use a shorter step (--step {0.5 * h:.2g}), and check amplitude, K_Q and stiffness: the "

@@ -15,6 +15,7 @@ from slider_jax.effects.body.gravity import Gravity
 from slider_jax.errors import InputError
 from slider_jax.experiment.schema import Trial
 from slider_jax.supports import Free, PinnedLink
+from slider_jax.water import WaterField
 
 Wave = SquareWave | SineWave | Trapezoid
 CAP = 172.3e3
@@ -43,8 +44,15 @@ class Gait(NamedTuple):
 def to_swimmer(model: Model, gait: Gait | None = None) -> Model:
     """Returns the model of a free swimmer in still water, with drive and tail of `gait` if given.
 
-    Raises `InputError` if an effect moves the water: speeds are relative to still water.
+    Raises `InputError` if an effect moves the water, or if the water is nonuniform: speeds are
+    relative to still water. `swim_in_water` simulates a free swimmer in moving water.
     """
+    if isinstance(model.water, WaterField):
+        raise InputError(
+            "water: given a velocity field; a free swimmer's steady speed is relative to still "
+            "water: remove `field` and `vortex_street`, or call the function "
+            "slider_jax.swimming.in_water.swim_in_water"
+        )
     moving = of_place(model.effects, WaterMotion)
     if moving:
         raise InputError(

@@ -18,11 +18,24 @@ class ReactiveForce(ForceDensity):
         F_tau = -m_A ( -u_n omega + u_tau u_n kappa + u_n du_n/ds ) - dm_A/ds u_n^2/2
         m_A   = m_a pi rho H^2/4
 
-    The robot's height H is uniform, so dm_A/ds = 0. `HeadAddedMass` adds the point force at a blunt
+    In nonuniform water (`WaterField`), u is relative to the water at the place of the section, and
+    the velocity gradient of the water turns and stretches the impulse m_A u_n n:
+
+        f = f(u) - m_A u_n grad(U_n)
+
+    With this term, a body of uniform height has no tangential force, because the pressure acts
+    normal to a strip. For a straight strip, the force is that of potential flow:
+    F_n = -m_A (dV_n/dt - n . (dU/dt + U_tau dU/dtau + V_n dU/dn)). The flow must change little over
+    the height H. The force omits the pressure gradient of the accelerating water on the displaced
+    volume (Froude-Krylov force rho A DU/Dt, with the cross-section A), also in uniform water.
+
+    If H is uniform, dm_A/ds = 0. `HeadAddedMass` adds the point force at a blunt
     head; docs/explanation/decisions.md explains why the base model omits this force.
 
     Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
-    R. Soc. B 179, 125-138; the equations for F_a of the paper in `slider_jax.paper`.
+    R. Soc. B 179, 125-138; the equations for F_a of the paper in `slider_jax.paper`. Nonuniform
+    water: Candelier, F., Porez, M. and Boyer, F. (2013), Note on the swimming of an elongated body
+    in a non-uniform flow, J. Fluid Mech. 716, 616-637.
     """
 
     title = "reactive force of the added mass"
@@ -45,4 +58,7 @@ class ReactiveForce(ForceDensity):
         flux_s = x.u_tau_s * x.u_n + x.u_tau * x.u_n_s
         F_n = -m_A * (x.u_n_t - flux_s + x.u_n**2 * x.kappa / 2.0)
         F_tau = -m_A * (-x.u_n * x.omega + x.u_tau * x.u_n * x.kappa + x.u_n * x.u_n_s)
+        if x.U_n_gradient is not None:
+            refraction = m_A * x.u_n * x.U_n_gradient
+            F_tau, F_n = F_tau - refraction[0], F_n - refraction[1]
         return F_tau - m_A_s * x.u_n**2 / 2.0, F_n + m_A_s * x.u_tau * x.u_n
