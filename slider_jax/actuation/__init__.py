@@ -13,16 +13,27 @@ from slider_jax.actuation.prescribed_shape import (
 )
 from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw
 from slider_jax.actuation.tendon import LengthTendon, Tendon, TensionTendon
-from slider_jax.actuation.waveform import Held, Recorded, SineWave, SquareWave, Trapezoid, Waveform
+from slider_jax.actuation.waveform import (
+    Biased,
+    Held,
+    PeriodicSpline,
+    Recorded,
+    SineWave,
+    SquareWave,
+    Trapezoid,
+    Waveform,
+)
 
 __all__ = [
     "Actuator",
+    "Biased",
     "Couple",
     "FirstOrderLag",
     "Held",
     "Ideal",
     "LengthTendon",
     "MeasuredMoment",
+    "PeriodicSpline",
     "PrescribedShape",
     "PressureLaw",
     "Recorded",
