@@ -132,7 +132,9 @@ class PeriodicSpline(Waveform):
         y, n = self.values, self.values.shape[0]
         # Second derivatives times (spacing)^2/6 solve m[i-1] + 4 m[i] + m[i+1] = second difference.
         waves = jnp.cos(2.0 * math.pi * jnp.arange(n // 2 + 1.0) / n)
-        m = jnp.fft.irfft(jnp.fft.rfft(y) * (2.0 * waves - 2.0) / (4.0 + 2.0 * waves), n)
+        spectrum = jnp.fft.rfft(y)
+        gain = (2.0 * waves - 2.0) / (4.0 + 2.0 * waves)
+        m = jnp.fft.irfft(spectrum * gain.astype(spectrum.dtype), n)
 
         def value(t):
             place = n * jnp.mod(self.frequency * t - self.phase, 1.0)
