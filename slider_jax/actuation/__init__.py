@@ -25,6 +25,7 @@ from slider_jax.actuation.waveform import (
     Biased as Biased,
     Clipped as Clipped,
     Held as Held,
+    PeriodicSpline as PeriodicSpline,
     Recorded as Recorded,
     SineWave as SineWave,
     SquareWave as SquareWave,

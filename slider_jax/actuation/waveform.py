@@ -1,4 +1,7 @@
-"""Waveforms of the set pressure. A `Segment` is the set pressure in one time step."""
+"""Waveforms of the set pressure. A `Segment` is the set pressure in one time step.
+
+The commands of other actuators are waveforms too, in the units of these actuators.
+"""
 
 import math
 from abc import abstractmethod
@@ -138,6 +141,47 @@ class Trapezoid(Waveform):
         return _continuous(value, t0, (corner + self.phase) / self.frequency, t1)
 
 
+class PeriodicSpline(Waveform):
+    """A periodic cubic spline through `values` at evenly spaced times in one period.
+
+    The first value is at `phase`, the delay as a fraction of a period. Value and two derivatives
+    are continuous. Segments have second-order errors.
+    """
+
+    frequency: Scalar
+    values: Float[Array, " samples"]
+    phase: Scalar = 0.0
+
+    def segment(self, t0, t1):
+        y, n = self.values, self.values.shape[0]
+        # Second derivatives times (spacing)^2/6 solve m[i-1] + 4 m[i] + m[i+1] = second difference.
+        waves = jnp.cos(2.0 * math.pi * jnp.arange(n // 2 + 1.0) / n)
+        spectrum = jnp.fft.rfft(y)
+        gain = (2.0 * waves - 2.0) / (4.0 + 2.0 * waves)
+        m = jnp.fft.irfft(spectrum * gain.astype(spectrum.dtype), n)
+
+        def value(t):
+            place = n * jnp.mod(self.frequency * t - self.phase, 1.0)
+            i = jnp.clip(jnp.floor(place).astype(int), 0, n - 1)
+            b = place - i.astype(place.dtype)
+            a, j = 1.0 - b, (i + 1) % n
+            return a * y[i] + b * y[j] + (a**3 - a) * m[i] + (b**3 - b) * m[j]
+
+        return _continuous(value, t0, 0.5 * (t0 + t1), t1)
+
+
+class Biased(Waveform):
+    """The waveform `wave` + `bias`; the bias steers a robot or tensions a pair of tendons."""
+
+    wave: Waveform
+    bias: Scalar
+
+    def segment(self, t0, t1):
+        x = self.wave.segment(t0, t1)
+        ends = (p + self.bias for p in (x.a0, x.a1, x.b0, x.b1))
+        return Segment(x.t0, x.t_break, x.t1, *ends)
+
+
 class Recorded(Waveform):
     """Linear interpolation of samples [Pa] at increasing times [s], constant outside these times.
 
@@ -238,18 +282,6 @@ class Shaped(Waveform):
     def segment(self, t0, t1):
         x = self.wave.segment(t0, t1)
         ends = (self.curve(p) for p in (x.a0, x.a1, x.b0, x.b1))
-        return Segment(x.t0, x.t_break, x.t1, *ends)
-
-
-class Biased(Waveform):
-    """The set pressure wave + bias [Pa]; a bias steers."""
-
-    wave: Waveform
-    bias: Scalar
-
-    def segment(self, t0, t1):
-        x = self.wave.segment(t0, t1)
-        ends = (p + self.bias for p in (x.a0, x.a1, x.b0, x.b1))
         return Segment(x.t0, x.t_break, x.t1, *ends)
 
 

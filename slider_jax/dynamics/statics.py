@@ -43,11 +43,12 @@ class AtRest(NamedTuple):
 
     y: Unknowns
     """Unknowns at the nodes; the velocities are of order 1/`LONG`."""
-    strain: Float[Array, " cells"]
     shape: Float[Array, "2 nodes"]
     """Node positions (x, y) [m] relative to the head, tail first."""
     ok: Bool[Array, ""]
     """Whether the Newton iteration converged."""
+    strain: Float[Array, " cells"]
+    """Strain eps [-] in the cells."""
 
 
 def at_rest_under(
@@ -79,7 +80,7 @@ def at_rest_under(
     y, error = _equilibrium((stage, loads.force, scales_of(model.body)))
     eps = at_cells(y, stage).strain if model.actuators else mesh.grid.mid(y[0]) / mesh.structure.EA
     shape = node_positions(y[5], eps, jnp.zeros(2), mesh.grid)
-    return AtRest(y, eps, shape, error < numerics.tolerance)
+    return AtRest(y, shape, error < numerics.tolerance, eps)
 
 
 def _shape(model: Model, mesh: Mesh, t: Scalar) -> Shape | None:

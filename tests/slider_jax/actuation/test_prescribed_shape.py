@@ -10,6 +10,7 @@ import pytest
 from slider_jax.actuation import TravellingWave, midline_shape, recorded_shape
 from slider_jax.beam.parameters import Numerics, grid_of
 from slider_jax.beam.state import node_positions
+from slider_jax.dynamics.statics import Loads, at_rest_under
 from slider_jax.dynamics.step import at_rest
 from slider_jax.effects import ReactiveForce
 from slider_jax.errors import InputError
@@ -95,6 +96,18 @@ def test_a_free_body_starts_in_the_shape_and_keeps_its_momentum():
     change = np.abs(saved[:, :2] - saved[0, :2]).max() / size
     print(f"change of momentum {change:.1e}")
     assert change < 1e-3
+
+
+def test_static_state_has_the_prescribed_curvature_in_the_span():
+    """Exact in the span; behind the span, the unloaded body is straight."""
+    actuator = wave(near=0.1, far=0.25)
+    model = with_actuators(uniform(L), actuator)
+    found = at_rest_under(model, Loads(jnp.zeros(2), jnp.zeros(2)), SMALL, t=0.2)
+    at = distances(model, SMALL)
+    wanted = np.where((at > 0.1) & (at < 0.25), actuator.curvature(at, 0.2), 0.0)
+    kappa = np.asarray(grid_of(model.body, SMALL).slope(found.y[5]))
+    assert bool(found.ok)
+    assert kappa == pytest.approx(wanted, abs=1e-8)
 
 
 def test_recorded_curvature_of_a_pneumatic_beam_gives_its_clamp_forces():
