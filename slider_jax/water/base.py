@@ -34,6 +34,12 @@ class WaterField(eqx.Module):
         def one(x, y):
             def with_value(point):
                 U = self.velocity(point[:2], point[2])
+                given = getattr(U, "shape", type(U).__name__)
+                if given != (2,):
+                    raise ValueError(
+                        f"{type(self).__name__}.velocity: given {given}; allowed an array of shape "
+                        "(2,); write the function for one place"
+                    )
                 return U, U
 
             return jax.jacfwd(with_value, has_aux=True)(jnp.stack([x, y, t]))

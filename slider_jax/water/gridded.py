@@ -165,9 +165,10 @@ def read_field(path: Path | str) -> GriddedField:
     """
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as content:
+        with path.open("rb") as file:
+            content = np.load(file, allow_pickle=False)
             if not isinstance(content, np.lib.npyio.NpzFile):
-                raise ValueError
+                raise ValueError("an array, not an archive")
             arrays = {name: content[name] for name in content.files}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the name of an NPZ file") from None
