@@ -44,7 +44,7 @@ class DriveResponses:
         return self.all[i].residual[:, :, self.at[0], self.at[1]]
 
     def least_residual(self, i: int) -> np.ndarray:
-        """Returns the least residual (chambers,) of trial i's pressures over all lags and delays."""
+        """Returns the least residual (chambers,) of trial i's pressures at any lag and delay."""
         return np.array([self.all[i].residual[c, c].min() for c in self.chambers])
 
 

@@ -208,7 +208,8 @@ def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
             if best < STRANGE:
                 detail = (
                     f"the correlation of {r.channels[name].column} with its prediction is at most "
-                    f"{best:.2f}, but {rest.min():.2f} or more in other trials; the channel is masked"
+                    f"{best:.2f}, but {rest.min():.2f} or more in other trials; the channel is "
+                    "masked"
                 )
                 findings.append(trial_finding(r, "strange_channel", name, detail, "masked"))
                 values[row] = np.nan
