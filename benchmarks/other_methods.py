@@ -41,7 +41,7 @@ from calibration.inference.gauss_newton import Fit, fit_gauss_newton, inverse
 from calibration.inference.noise import Whitener
 from calibration.inference.problem import FAILED, AbstractProblem, ChannelBlock, summed, total
 from calibration.model.extended import Parameter
-from slider_jax.channels import row_of
+from slider_jax.channels import SLIDER_CHANNELS
 
 PENALTIES = 60
 """Number of penalties of the lasso."""
@@ -361,7 +361,7 @@ def _features(problem: AbstractProblem, predicted: Sequence[np.ndarray]) -> list
     The inputs are the model's readings, their rates, the time in the stride and the settings. A
     trial without a drive frequency has the frequency 0.
     """
-    rows = [row_of(c) for c in ("p_front", "recoil", "tip")]
+    rows = [SLIDER_CHANNELS.row(c) for c in ("p_front", "recoil", "tip")]
     features = []
     for r, y in zip(problem.records, predicted, strict=True):
         frequency = r.trial.frequency or 0.0
@@ -391,7 +391,7 @@ def _with_residual_model(
     asked = [scaler.transform(x) for x in _features(s.rest, found)]
     predicted = [y.copy() for y in found]
     for channel in s.problem.channels:
-        row, X, y, trials = row_of(channel), [], [], []
+        row, X, y, trials = SLIDER_CHANNELS.row(channel), [], [], []
         for i, (r, x) in enumerate(zip(s.problem.records, seen, strict=True)):
             there = r.there(channel)
             X.append(x[there])

@@ -25,7 +25,7 @@ from calibration.measurements.synthetic import (
 from calibration.model.extended import base_vector, model_parameters
 from calibration.model.plan import Resolution, plan_trial
 from calibration.model.predict import predict_each
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.load import Experiment, assemble
 
 SECONDS = 0.33
@@ -131,15 +131,15 @@ def noisy_records(
     sensors = declared._replace(**{name: factor * getattr(declared, name) for name in WHITE})
     for trial, y in zip(tank.experiment.trials, true, strict=True):
         t = np.arange(y.shape[1]) / declared.sample_rate
-        named = {"t_s": t} | {CHANNELS[c].column: row for c, row in zip(CHANNELS, y, strict=True)}
+        named = {"t_s": t} | {SLIDER_CHANNELS[c].column: row for c, row in zip(SLIDER_CHANNELS, y, strict=True)}
         if noise == "clock_skew":
             named |= {
                 x.column: np.interp(t * (1.0 + SKEW), t, named[x.column])
-                for x in CHANNELS.values()
+                for x in SLIDER_CHANNELS.values()
                 if x.kind == "force"
             }
         columns = with_sensor_noise(named, sensors, rng)
-        for channel in CHANNELS.values():
+        for channel in SLIDER_CHANNELS.values():
             size, x = getattr(declared, channel.noise), columns[channel.column]
             if noise == "heavy_tails":
                 x += size / np.sqrt(3.0) * rng.standard_t(3.0, len(t))
@@ -151,7 +151,7 @@ def noisy_records(
                 noise == "camera_only" and channel.kind != "camera"
             ):
                 x[:] = np.nan
-        records.append(Record(trial, t, np.stack([columns[CHANNELS[c].column] for c in CHANNELS])))
+        records.append(Record(trial, t, np.stack([columns[SLIDER_CHANNELS[c].column] for c in SLIDER_CHANNELS])))
     return records
 
 

@@ -7,7 +7,7 @@ All code that reads, simulates, plots or fits sensor data iterates over a `Chann
     register(Channel("tail_speed", "tail_speed_m_per_s", "m/s", "tail speed", "m/s", 1.0, observe))
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -95,6 +95,10 @@ class ChannelSet(Mapping[str, Channel]):
             if x.name == name:
                 return i
         raise KeyError(name)
+
+    def rows(self, names: Iterable[str]) -> list[int]:
+        """Returns the rows of the channels `names`. Raises `KeyError`."""
+        return [self.row(name) for name in names]
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calibration.audit.drive_response import rows_of_body
 from calibration.audit.prediction import check_predicted_channels
 from calibration.audit.pressures import check_pressures
 from calibration.audit.rows import Unusable, read_rows
 from calibration.audit.sensors import check_sensor
 from calibration.audit.time_stamps import regular_rows
 from calibration.measurements.records import Finding, Record
-from slider_jax.channels import CHANNELS
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
 
@@ -68,6 +68,7 @@ def audit_measurements(
 def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
     records: list[Record] = []
     findings: list[Finding] = []
+    channels = experiment.channels
     for trial in experiment.trials:
         path = experiment.folder / trial.file
         if not path.exists():
@@ -75,7 +76,7 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
             findings.append(Finding(trial.file, "missing_file", None, None, None, detail, "used"))
             continue
         try:
-            rows, more = read_rows(path)
+            rows, more = read_rows(path, channels)
             findings += more
             rows, more = regular_rows(rows, trial)
             findings += more
@@ -83,13 +84,12 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
             findings.append(fault.finding)
             continue
         values, filled = rows.values.copy(), np.isfinite(rows.values).any(axis=0)
-        for i, channel in enumerate(CHANNELS):
-            key = CHANNELS[channel].noise
-            noise = getattr(experiment.sensors, key) if key else 0.0
+        for i, (channel, sensor) in enumerate(channels.items()):
+            noise = getattr(experiment.sensors, sensor.noise) if sensor.noise else 0.0
             found = check_sensor(trial.file, channel, rows.t, rows.values[i], noise, filled)
             values[i] = found[0]
             findings += found[1]
-        records.append(Record(trial, rows.t, values))
+        records.append(Record(trial, rows.t, values, channels))
     return records, findings
 
 
@@ -127,7 +127,7 @@ def _without_copies(records: Sequence[Record]) -> tuple[list[Record], list[Findi
     kept: list[Record] = []
     findings = []
     for r in records:
-        original = next((k for k in kept if _same(k.values, r.values)), None)
+        original = next((k for k in kept if _same(k, r)), None)
         if original is None:
             kept.append(r)
             continue
@@ -136,9 +136,9 @@ def _without_copies(records: Sequence[Record]) -> tuple[list[Record], list[Findi
     return kept, findings
 
 
-def _same(a: np.ndarray, b: np.ndarray) -> bool:
-    n = min(a.shape[1], b.shape[1])
-    first, second = a[2:, :n], b[2:, :n]
+def _same(a: Record, b: Record) -> bool:
+    n, rows = min(len(a.t), len(b.t)), rows_of_body(a.channels)
+    first, second = a.values[rows, :n], b.values[rows, :n]
     there = np.isfinite(first) & np.isfinite(second)
     return bool(
         there.sum() > 20 and np.ptp(first[there]) > 0.0

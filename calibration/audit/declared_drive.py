@@ -7,10 +7,10 @@ import numpy as np
 
 from calibration.audit.drive_response import (
     MAX_RESIDUAL,
-    NAMES,
     DriveResponses,
+    chamber_tones,
     driven_chambers,
-    rear_lag_and_ratio,
+    drives_of,
     trial_finding,
     wrapped,
 )
@@ -18,13 +18,11 @@ from calibration.audit.lag_response import (
     DELAYS,
     TIME_CONSTANTS,
     PeriodRatio,
-    declared_drives,
     fit_lags,
     leave_one_out,
     period_ratio,
 )
 from calibration.measurements.records import Finding, Record
-from slider_jax.channels import BUILT_IN
 
 SKEW = 0.004
 """A smaller relative frequency error is no fault, because slow transients may cause it."""
@@ -41,7 +39,7 @@ FITS = 0.1
 LATE = 0.02
 """Largest accepted difference of a trial's delay from the delay of the other trials [s]."""
 WRONG_PHASE = 0.05
-"""Largest accepted difference of the rear chamber's phase from the declared phase [periods]."""
+"""Largest accepted difference of a chamber's phase from the declared phase [periods]."""
 
 
 def check_clocks(
@@ -76,7 +74,7 @@ def check_clocks(
             findings.append(trial_finding(r, "clock_skew", "t_s", detail, "left out"))
         else:
             detail = f"{text}: the drive had another frequency{_partner(records, r)}"
-            findings.append(trial_finding(r, "wrong_drive", "p_front, p_rear", detail, "left out"))
+            findings.append(trial_finding(r, "wrong_drive", all_pressures(r), detail, "left out"))
     return kept, findings
 
 
@@ -84,16 +82,15 @@ def _clock(r: Record) -> PeriodRatio | None:
     """Returns the relative error of the pressures' frequency; None if the pressures disagree."""
     assert r.trial.frequency is not None
     found = []
-    for row in (0, 1):
-        there = np.isfinite(r.values[row])
+    for p in r.pressures:
+        there = np.isfinite(p)
         if there.mean() > 0.5:
-            found.append(period_ratio(r.t[there], r.values[row, there], r.trial.frequency))
-    known = [p for p in found if p is not None]
-    if len(known) < 2:
-        return known[0] if known and not len(found) > 1 else None
-    front, rear = known
-    off, error = 0.5 * (front.off + rear.off), max(front.error, rear.error)
-    agree = abs(front.off - rear.off) < 1e-3 + 0.15 * abs(off)
+            found.append(period_ratio(r.t[there], p[there], r.trial.frequency))
+    known = [x for x in found if x is not None]
+    if not known or len(known) < len(found):
+        return None
+    off, error = float(np.mean([x.off for x in known])), max(x.error for x in known)
+    agree = np.ptp([x.off for x in known]) < 1e-3 + 0.15 * abs(off)
     return PeriodRatio(off, error) if agree else None
 
 
@@ -106,14 +103,16 @@ def check_declared_drive(
     wrong = _late(records, responses, range(len(records)))
     limit = min(max(WRONG_DRIVE, 2.0 * usual), max(STRANGE, TIMES * usual))
     for i, r in enumerate(records):
-        bad = [c for c in (0, 1) if np.isfinite(r.values[c]).mean() > 0.3 and least[i, c] > limit]
+        there = np.isfinite(r.pressures).mean(axis=1)
+        bad = [c for c in responses.chambers if there[c] > 0.3 and least[i, c] > limit]
         if bad and i not in wrong:
+            names = [r.channels.pressures[c] for c in bad]
+            columns = " and ".join(r.channels[x].column for x in names)
             detail = (
                 f"the declared drive ({r.trial.frequency:g} Hz) does not explain "
-                f"{' and '.join(NAMES[c] for c in bad)} in this trial{_partner(records, r)}"
+                f"{columns} in this trial{_partner(records, r)}"
             )
-            channels = ", ".join(BUILT_IN[c] for c in bad)
-            wrong[i] = trial_finding(r, "wrong_drive", channels, detail, "left out")
+            wrong[i] = trial_finding(r, "wrong_drive", ", ".join(names), detail, "left out")
     good = [i for i in range(len(records)) if i not in wrong]
     for check in (_wrong_phase, _wrong_amplitude):
         for i, found in check([records[i] for i in good], responses, good).items():
@@ -122,14 +121,19 @@ def check_declared_drive(
     return kept, [wrong[i] for i in sorted(wrong)]
 
 
+def all_pressures(r: Record) -> str:
+    """Returns the names of a record's pressures."""
+    return ", ".join(r.channels.pressures)
+
+
 def _partner(records: Sequence[Record], r: Record) -> str:
     """Returns a text that names the trial whose drive the pressures of `r` follow, or ''."""
     for other in records:
-        chambers = declared_drives(other.trial)
+        chambers = drives_of(other)
         if other is r or chambers is None:
             continue
-        residual = fit_lags(r.t, r.values[:2], chambers).residual
-        if max(residual[c, c].min() for c in (0, 1)) < 0.5 * STRANGE:
+        residual = fit_lags(r.t, r.pressures, chambers).residual
+        if max(residual[c, c].min() for c in range(len(chambers))) < 0.5 * STRANGE:
             return f"; the pressures fit the drive of {other.trial.file}: the files may be swapped"
     return ""
 
@@ -144,8 +148,8 @@ def _late(
     lag = TIME_CONSTANTS[[responses.at[0]]]
     delays, least = [], []
     for r, chambers in zip(records, driven_chambers(records), strict=True):
-        residual = fit_lags(r.t, r.values[:2], chambers, around, lag).residual[[0, 1], [0, 1], 0]
-        together = np.sqrt(np.mean(residual**2, axis=0))
+        fits, own = fit_lags(r.t, r.pressures, chambers, around, lag), np.arange(len(chambers))
+        together = np.sqrt(np.mean(fits.residual[own, own, 0] ** 2, axis=0))
         delays.append(around[together.argmin()])
         least.append(float(together.min()))
     x = np.log([[r.trial.frequency or 1.0] for r in records])
@@ -166,41 +170,50 @@ def _late(
 def _wrong_phase(
     records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
 ) -> dict[int, Finding]:
-    """Returns findings on trials whose rear chamber has another phase than declared."""
-    pairs = [rear_lag_and_ratio(r) for r in records]
-    off = np.array(
-        [
-            np.nan if p is None else wrapped(p[0] - r.trial.phase) / (r.trial.frequency or 1.0)
-            for r, p in zip(records, pairs, strict=True)
-        ]
-    )
+    """Returns findings on trials in which a chamber has another phase than declared.
+
+    Phases are relative to the first chamber. The chamber with the largest difference is named.
+    """
+    drives = driven_chambers(records)
+    off = np.full((len(records), len(responses.chambers)), np.nan)
+    for j, r in enumerate(records):
+        tones = chamber_tones(r)
+        if tones is not None:
+            declared = np.array([x.phase for x in drives[j]])
+            lag = wrapped(tones.lag - tones.lag[0] - declared)
+            off[j] = lag / (r.trial.frequency or 1.0)
     found = {}
     for j, r in enumerate(records):
-        rest = np.delete(off, j)
-        rest = rest[np.isfinite(rest)]
-        if not np.isfinite(off[j]) or len(rest) < 2 or not r.trial.frequency:
+        rest = np.delete(off, j, axis=0)
+        rest = rest[np.isfinite(rest).all(axis=1)]
+        if not np.isfinite(off[j]).all() or len(rest) < 2 or not r.trial.frequency:
             continue
-        usual = float(np.median(rest))
-        spread = float(np.median(np.abs(rest - usual)))
+        usual = np.median(rest, axis=0)
+        spread = np.median(np.abs(rest - usual), axis=0)
         phase = wrapped((off[j] - usual) * r.trial.frequency)
-        if abs(phase) > max(WRONG_PHASE, 8.0 * spread * r.trial.frequency):
+        wrong = np.abs(phase) > np.maximum(WRONG_PHASE, 8.0 * spread * r.trial.frequency)
+        if wrong.any():
+            c = int(np.argmax(np.where(wrong, np.abs(phase), 0.0)))
+            first, name = r.channels.pressures[0], r.channels.pressures[c]
+            should = drives[j][c].phase
             detail = (
-                f"the rear pressure lags the front pressure by "
-                f"{wrapped(r.trial.phase + phase):.2f} of a period, but the declared phase is "
-                f"{r.trial.phase:g}"
+                f"the {r.channels[name].label} lags the {r.channels[first].label} by "
+                f"{wrapped(should + phase[c]):.2f} of a period, but the declared phase is "
+                f"{should:g}"
             )
-            found[index[j]] = trial_finding(r, "wrong_phase", "p_rear", detail, "left out")
+            found[index[j]] = trial_finding(r, "wrong_phase", name, detail, "left out")
     return found
 
 
 def _wrong_amplitude(
     records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
 ) -> dict[int, Finding]:
-    """Returns findings on trials in which both pressures have another amplitude than declared."""
+    """Returns findings on trials in which all pressures have another amplitude than declared."""
     if len(records) < 5:
         return {}
-    gain = np.array([[responses.gain(i)[c, c] for c in (0, 1)] for i in index])
-    residual = np.array([max(responses.residual(i)[c, c] for c in (0, 1)) for i in index])
+    every = responses.chambers
+    gain = np.array([[responses.gain(i)[c, c] for c in every] for i in index])
+    residual = np.array([max(responses.residual(i)[c, c] for c in every) for i in index])
     fit = [j for j in range(len(index)) if (gain[j] > 0.0).all() and residual[j] < MAX_RESIDUAL]
     if len(fit) < 5:
         return {}
@@ -210,13 +223,14 @@ def _wrong_amplitude(
     deviations = leave_one_out(size, x - x.mean(axis=0), np.full(2, 0.3), 0.01)
     found = {}
     for j, (off, error) in zip(fit, deviations, strict=True):
-        alike = abs(float(np.log(gain[j, 0] / gain[j, 1]))) < 0.5 * abs(off)
+        alike = np.ptp(np.log(gain[j])) < 0.5 * abs(off)
         if abs(off) > max(WRONG_AMPLITUDE, 8.0 * error) and alike:
             r = records[j]
+            which = {1: "the pressure", 2: "both pressures"}.get(len(every), "all pressures")
             detail = (
-                f"the ratio of both pressures to the declared amplitude, {r.trial.amplitude:g} Pa, "
+                f"the ratio of {which} to the declared amplitude, {r.trial.amplitude:g} Pa, "
                 f"is {np.exp(off):.2f} times the ratio in the other trials"
             )
-            channels = "p_front, p_rear"
+            channels = all_pressures(r)
             found[index[j]] = trial_finding(r, "wrong_amplitude", channels, detail, "left out")
     return found

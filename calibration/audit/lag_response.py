@@ -4,11 +4,13 @@ Each fit has a free gain and a free slow drift. The audit uses one time constant
 all trials, so that a physical effect that all trials share does not count as a fault.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
+from slider_jax.actuation import waves_along
 from slider_jax.experiment.schema import Trial
 
 TIME_CONSTANTS = np.geomspace(0.02, 0.5, 14)
@@ -46,16 +48,18 @@ class DeclaredDrive(NamedTuple):
         return np.where(t < 0.0, 0.0, value)
 
 
-def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
-    """Returns a trial's front and rear drive; None if the drive is zero or recorded."""
+def declared_drives(trial: Trial, chambers: int) -> tuple[DeclaredDrive, ...] | None:
+    """Returns the drive of each chamber; None if a drive is zero, or if the drives are recorded."""
     f, amplitude = trial.frequency, trial.amplitude
-    if trial.waveform == "recorded" or not f or not amplitude or not trial.rear_ratio:
+    if trial.waveform == "recorded" or not f or not amplitude:
         return None
-    common = (trial.waveform, f)
-    return (
-        DeclaredDrive(*common, amplitude, 0.0, trial.rise),
-        DeclaredDrive(*common, amplitude * trial.rear_ratio, trial.phase, trial.rise),
-    )
+
+    def drive(amplitude, phase):
+        return DeclaredDrive(trial.waveform, f, float(amplitude), float(phase), trial.rise)
+
+    last = amplitude * trial.rear_ratio
+    drives = waves_along(drive, chambers, amplitude, last, trial.phase)
+    return drives if drives and all(x.amplitude for x in drives) else None
 
 
 def _lag_responses(
@@ -73,7 +77,7 @@ class LagFits(NamedTuple):
     """Fits of m series with the lag's response to each drive, for all time constants and delays.
 
     `gain` is the signed ratio of a series to the response. `residual` is the fit residual's rms
-    divided by the series' rms. Both arrays have the shape (m, 2 chambers, time constants, delays).
+    divided by the series' rms. Both arrays have the shape (m, chambers, time constants, delays).
     """
 
     gain: np.ndarray
@@ -90,12 +94,12 @@ def _without_drift(t: np.ndarray, series: np.ndarray) -> np.ndarray:
 def fit_lags(
     t: np.ndarray,
     values: np.ndarray,
-    chambers: tuple[DeclaredDrive, DeclaredDrive],
+    chambers: Sequence[DeclaredDrive],
     delays: np.ndarray = DELAYS,
     time_constants: np.ndarray = TIME_CONSTANTS,
 ) -> LagFits:
     """Returns fits of the series `values` (m, n) at times `t` (n,) [s]. Missing values are NaN."""
-    shape = (len(values), 2, len(time_constants), len(delays))
+    shape = (len(values), len(chambers), len(time_constants), len(delays))
     gain, residual = np.zeros(shape), np.ones(shape)
     every = max(1, len(t) // MAX_SAMPLES)
     for j, drive in enumerate(chambers):

@@ -6,18 +6,15 @@ sufficient: a wrong unit, a wrong sign or swapped columns are evident without ex
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
-from calibration.audit.drive_response import NAMES, trial_finding
+from calibration.audit.drive_response import rows_of_body, trial_finding
 from calibration.audit.lag_response import MAX_SAMPLES, leave_one_out
 from calibration.measurements.records import Finding, Record
-from slider_jax.channels import BUILT_IN
 from slider_jax.experiment.schema import Trial
 
-BODY = (2, 3, 4)
-"""Indices of thrust, recoil and tip in the readings (channels, n)."""
 LAGS = np.arange(-0.03, 0.1, 0.01)
 """Candidate delays of a sensor [s]. A delay that is the same in all trials is no fault."""
 CLEAR = 0.8
@@ -31,8 +28,8 @@ STRANGE = 0.4
 """A channel of a trial is masked if its correlation is below this value at every delay."""
 UNIT_MARGIN = np.log10(3.0)
 """A unit is wrong if log10(measured/predicted size) differs from 3 or -3 by less than this."""
-SMALL = {1e3: ("mN", "mN", "mm"), 1e-3: ("kN", "kN", "km")}
-"""Wrong units of thrust, recoil and tip. Each key is the value of 1 N or 1 m in these units."""
+PREFIXES = {1e3: "m", 1e-3: "k"}
+"""Prefixes of wrong units. Each key is the value of 1 SI unit in the unit with the prefix."""
 OUTLIER = 30.0
 """A trial is an outlier only if its mean square residual is more than this many times the median of
 the other trials."""
@@ -43,15 +40,29 @@ in all other trials."""
 
 @dataclass(frozen=True)
 class _Correlations:
-    """Records with predicted readings (channels, n), and delays [s] of the channels in `BODY`."""
+    """Records with predicted readings (channels, n) of all channels except the pressures."""
 
     pairs: list[tuple[Record, np.ndarray]]
+    rows: list[int]
+    """Rows of the channels in the readings."""
     lags: list[float]
+    """Delay [s] of each channel."""
+
+    def name(self, row: int) -> str:
+        return list(self.pairs[0][0].channels)[row]
 
     def correlation(self, i: int, column: int, row: int) -> float:
         """Returns the correlation of a measured column with a predicted row, delayed by `lags`."""
         r, p = self.pairs[i]
-        return _correlation(r, p, column, row, self.lags[BODY.index(row)])
+        return _correlation(r, p, column, row, self.lags[self.rows.index(row)])
+
+    def own(self) -> np.ndarray:
+        """Returns the correlation (trials, channels) of each channel with its prediction."""
+        return np.array([[self.correlation(i, x, x) for x in self.rows] for i in self.trials])
+
+    @property
+    def trials(self) -> range:
+        return range(len(self.pairs))
 
     def size(self, i: int, row: int) -> float:
         """Returns log10 of the ratio of the measured to the predicted standard deviation."""
@@ -62,10 +73,10 @@ class _Correlations:
         return float(np.log10(np.std(r.values[row, there]) / np.std(p[row, there])))
 
 
-def _common_lag(pairs: Sequence[tuple[Record, np.ndarray]], row: int) -> float:
+def _common_lag(pairs: Sequence[tuple[Record, np.ndarray]], rows: Sequence[int], row: int) -> float:
     """Returns the delay [s] at which a predicted row correlates best with the measured columns."""
     table = [
-        [max(abs(_correlation(r, p, c, row, x)) for c in BODY) for x in LAGS] for r, p in pairs
+        [max(abs(_correlation(r, p, c, row, x)) for c in rows) for x in LAGS] for r, p in pairs
     ]
     return float(LAGS[np.argmax(np.median(table, axis=0))]) if table else 0.0
 
@@ -91,45 +102,48 @@ def check_predicted_channels(
     correlates with its prediction in all trials except one is masked in that one trial.
     """
     found, findings = list(records), []
-    lags = [_common_lag([*zip(found, predicted, strict=True)], row) for row in BODY]
+    rows, pairs = rows_of_body(found[0].channels), [*zip(found, predicted, strict=True)]
+    lags = [_common_lag(pairs, rows, row) for row in rows]
     for step in (_columns, _signs, _units, _strange_channels):
-        found, more = step(_Correlations([*zip(found, predicted, strict=True)], lags))
+        found, more = step(_Correlations([*zip(found, predicted, strict=True)], rows, lags))
         findings += more
     return found, findings
 
 
 def _columns(of: _Correlations) -> tuple[list[Record], list[Finding]]:
     tables = [
-        np.array([[abs(of.correlation(i, c, row)) for row in BODY] for c in BODY])
-        for i in range(len(of.pairs))
+        np.array([[abs(of.correlation(i, c, row)) for row in of.rows] for c in of.rows])
+        for i in of.trials
     ]
-    usual = _order(np.median(tables, axis=0)) if len(tables) > 2 else (0, 1, 2)
+    straight = list(range(len(of.rows)))
+    usual = _order(np.median(tables, axis=0)) if len(tables) > 2 else straight
     kept, findings = [], []
     for (r, _), C in zip(of.pairs, tables, strict=True):
         best = _order(C)
-        if usual != (0, 1, 2) and _total(C, usual) > _total(C, (0, 1, 2)):
+        if usual != straight and _total(C, usual) > _total(C, straight):
             best = usual
         moved = [x for x, c in enumerate(best) if c != x]
         clear = all(C[best[x], x] > CLEAR and C[x, x] < 0.7 * C[best[x], x] for x in moved)
         if not moved or not (clear or best == usual):
             kept.append(r)
             continue
-        rows = [0, 1, *(BODY[c] for c in best), *range(len(NAMES), len(r.values))]
-        names = " and ".join(NAMES[BODY[x]] for x in moved)
-        channels = ", ".join(BUILT_IN[BODY[x]] for x in moved)
-        detail = f"the columns {names} are swapped: each column fits another channel's prediction"
-        findings.append(trial_finding(r, "swapped_columns", channels, detail, "mended"))
-        kept.append(replace(r, values=r.values[rows]))
+        names = [of.name(of.rows[x]) for x in moved]
+        columns = " and ".join(r.channels[x].column for x in names)
+        detail = f"the columns {columns} are swapped: each column fits another channel's prediction"
+        findings.append(trial_finding(r, "swapped_columns", ", ".join(names), detail, "mended"))
+        values = r.values.copy()
+        values[of.rows] = r.values[[of.rows[c] for c in best]]
+        kept.append(replace(r, values=values))
     return kept, findings
 
 
-def _order(C: np.ndarray) -> tuple[int, ...]:
-    """Returns the column of each channel, from the correlations `C` (3 columns, 3 channels).
+def _order(C: np.ndarray) -> list[int]:
+    """Returns the column of each channel, from the correlations `C` (columns, channels).
 
     Another order than the file's must raise the sum of correlations by more than `MARGIN`.
     """
-    best = max(permutations(range(3)), key=lambda order: _total(C, order))
-    return best if _total(C, best) > _total(C, (0, 1, 2)) + MARGIN else (0, 1, 2)
+    best, straight = linear_sum_assignment(C.T, maximize=True)[1].tolist(), list(range(len(C)))
+    return best if _total(C, best) > _total(C, straight) + MARGIN else straight
 
 
 def _total(C: np.ndarray, order: Sequence[int]) -> float:
@@ -138,39 +152,43 @@ def _total(C: np.ndarray, order: Sequence[int]) -> float:
 
 def _signs(of: _Correlations) -> tuple[list[Record], list[Finding]]:
     kept, findings = [], []
-    table = [[of.correlation(i, x, x) for x in BODY] for i in range(len(of.pairs))]
+    table = of.own()
     known = np.min(np.abs(table), axis=0, initial=1.0) > COMPARABLE
     for (r, _), row in zip(of.pairs, table, strict=True):
         values = r.values.copy()
-        for channel, value, sure in zip(BODY, row, known, strict=True):
+        for channel, value, sure in zip(of.rows, row, known, strict=True):
             if value > -CLEAR or not sure:
                 continue
-            name = NAMES[channel]
-            detail = f"{name} has the wrong sign (correlation {value:.2f}); the sign was inverted"
-            findings.append(trial_finding(r, "sign", BUILT_IN[channel], detail, "mended"))
+            name = of.name(channel)
+            column = r.channels[name].column
+            detail = f"{column} has the wrong sign (correlation {value:.2f}); the sign was inverted"
+            findings.append(trial_finding(r, "sign", name, detail, "mended"))
             values[channel] *= -1.0
         kept.append(replace(r, values=values))
     return kept, findings
 
 
 def _units(of: _Correlations) -> tuple[list[Record], list[Finding]]:
-    sizes = np.array([[of.size(i, row) for row in BODY] for i in range(len(of.pairs))])
+    sizes = np.array([[of.size(i, row) for row in of.rows] for i in of.trials])
     ordinary = np.abs(sizes) < 1.0
     kept, findings = [], []
     for i, (r, _) in enumerate(of.pairs):
         values = r.values.copy()
-        for x, row in enumerate(BODY):
-            ratio = next((f for f in SMALL if abs(sizes[i, x] - np.log10(f)) < UNIT_MARGIN), None)
+        for x, row in enumerate(of.rows):
+            ratio = next(
+                (f for f in PREFIXES if abs(sizes[i, x] - np.log10(f)) < UNIT_MARGIN), None
+            )
             # A wrong model may also scale a channel. So a unit is wrong only if this channel has a
             # normal size in another trial, or another channel has a normal size in this trial.
             if ratio is None or not (ordinary[:, x].any() or ordinary[i].any()):
                 continue
-            unit, name = SMALL[ratio][x], NAMES[row]
+            name = of.name(row)
+            unit, column = PREFIXES[ratio] + r.channels[name].unit, r.channels[name].column
             detail = (
-                f"{name} is {10 ** sizes[i, x]:.3g} times its prediction: the numbers are in "
+                f"{column} is {10 ** sizes[i, x]:.3g} times its prediction: the numbers are in "
                 f"{unit}, and were multiplied by {1.0 / ratio:g}"
             )
-            findings.append(trial_finding(r, "units", BUILT_IN[row], detail, "mended"))
+            findings.append(trial_finding(r, "units", name, detail, "mended"))
             values[row] /= ratio
         kept.append(replace(r, values=values))
     return kept, findings
@@ -178,24 +196,22 @@ def _units(of: _Correlations) -> tuple[list[Record], list[Finding]]:
 
 def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
     """Masks a channel in the only trial that the prediction does not fit, and adds a finding."""
-    n = len(of.pairs)
-    table = np.array([[of.correlation(i, x, x) for x in BODY] for i in range(n)]).reshape(n, 3)
+    table = of.own()
     kept, findings = [], []
     for i, (r, p) in enumerate(of.pairs):
         values = r.values.copy()
-        for x, row in enumerate(BODY):
-            rest = np.delete(table[:, x], i)
-            if not r.has(BUILT_IN[row]) or len(rest) < 3 or rest.min() < COMPARABLE:
+        for x, row in enumerate(of.rows):
+            rest, name = np.delete(table[:, x], i), of.name(row)
+            if not r.has(name) or len(rest) < 3 or rest.min() < COMPARABLE:
                 continue
             best = max(abs(_correlation(r, p, row, row, lag)) for lag in LAGS)
             if best < STRANGE:
                 detail = (
-                    f"the correlation of {NAMES[row]} with its prediction is at most {best:.2f}, "
-                    f"but {rest.min():.2f} or more in other trials; the channel is masked"
+                    f"the correlation of {r.channels[name].column} with its prediction is at most "
+                    f"{best:.2f}, but {rest.min():.2f} or more in other trials; the channel is "
+                    "masked"
                 )
-                findings.append(
-                    trial_finding(r, "strange_channel", BUILT_IN[row], detail, "masked")
-                )
+                findings.append(trial_finding(r, "strange_channel", name, detail, "masked"))
                 values[row] = np.nan
         kept.append(replace(r, values=values))
     return kept, findings

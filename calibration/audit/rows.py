@@ -2,6 +2,7 @@
 
 import csv
 import math
+from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.measurements.records import Finding
-from slider_jax.channels import channel_columns
+from slider_jax.channels import ChannelSet
 from slider_jax.errors import InputError
 from slider_jax.io.toml import read_bytes
 
@@ -23,6 +24,7 @@ class Rows(NamedTuple):
 
     t: np.ndarray
     values: np.ndarray
+    channels: ChannelSet
 
 
 class Unusable(Exception):
@@ -40,7 +42,7 @@ class Unusable(Exception):
         super().__init__(str(self.finding))
 
 
-def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
+def read_rows(path: Path, channels: ChannelSet) -> tuple[Rows, list[Finding]]:
     """Returns the readable rows of a trial's CSV file, and findings on the file's faults.
 
     Cells that are blank or not finite numbers become NaN. Raises `Unusable` if the time column is
@@ -61,9 +63,9 @@ def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
     if not numbered:
         raise Unusable(name, "empty", "the file is empty")
     header = [cell.strip() for cell in numbered[0][1]]
-    findings = _check_header(name, header)
+    findings = _check_header(name, header, channels.columns)
     whole, more = _whole_rows(name, header, numbered[1:])
-    table, worse = _numbers(name, header, whole)
+    table, worse = _numbers(name, header, whole, channels.columns)
     t = table[0]
     timed = np.isfinite(t)
     if not timed.all():
@@ -76,23 +78,23 @@ def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
             f"rows and {1.0 - MAX_BAD_SHARE:.0%} of all rows must be readable"
         )
         raise Unusable(name, "bad_row" if lost else "few_rows", detail)
-    return Rows(t[timed], table[1:, timed]), findings + more + worse
+    return Rows(t[timed], table[1:, timed], channels), findings + more + worse
 
 
-def _check_header(name: str, header: list[str]) -> list[Finding]:
+def _check_header(name: str, header: list[str], columns: Sequence[str]) -> list[Finding]:
     if "t_s" not in header:
         detail = f"the first line has no column t_s; its columns are {', '.join(header)[:80]}"
         if len(header) == 1 and ";" in header[0]:
             detail += "; separate the cells with commas, and write decimals with points"
         raise Unusable(name, "missing_column", detail)
-    repeated = sorted({x for x in channel_columns() if header.count(x) > 1})
+    repeated = sorted({x for x in columns if header.count(x) > 1})
     if repeated:
         detail = f"the first line repeats {', '.join(repeated)}"
         raise Unusable(name, "missing_column", detail)
     findings = []
-    for column in channel_columns()[1:]:
+    for column in columns[1:]:
         if column not in header:
-            unknown = [x for x in header if x not in channel_columns()]
+            unknown = [x for x in header if x not in columns]
             ignored = f"; unknown columns {', '.join(unknown)[:80]} are ignored" if unknown else ""
             near = get_close_matches(column, unknown, 1)
             hint = f"; rename {near[0]} if it is {column}" if near else ""
@@ -124,10 +126,10 @@ def _whole_rows(name, header, numbered) -> tuple[list[list[str]], list[Finding]]
     return whole, findings
 
 
-def _numbers(name, header, rows) -> tuple[np.ndarray, list[Finding]]:
-    """Returns the numbers (columns, rows) in the order of `channel_columns()`, and findings."""
-    table, findings = np.full((len(channel_columns()), len(rows)), np.nan), []
-    for i, column in enumerate(channel_columns()):
+def _numbers(name, header, rows, columns) -> tuple[np.ndarray, list[Finding]]:
+    """Returns the numbers (columns, rows) in the order of `columns`, and findings."""
+    table, findings = np.full((len(columns), len(rows)), np.nan), []
+    for i, column in enumerate(columns):
         if column not in header:
             continue
         at = header.index(column)

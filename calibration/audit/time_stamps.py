@@ -42,7 +42,7 @@ def _unit(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
                 f"in {unit} and were divided by {factor:g}"
             )
             found = Finding(trial.file, "units", "t_s", None, None, detail, "mended")
-            return Rows(rows.t / factor, rows.values), [found]
+            return rows._replace(t=rows.t / factor), [found]
     if longest > 20.0 * trial.duration:
         detail = f"t_s ends at {longest:g}, but the trial lasts {trial.duration:g} s"
         raise Unusable(trial.file, "units", detail, "t_s")
@@ -60,7 +60,7 @@ def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
         detail = f"{np.sum(~keep)} copies of rows, from {at.min():.4g} s on, were dropped"
         span = float(at.min()), float(at.max())
         findings.append(Finding(trial.file, "doubled_rows", None, *span, detail, "mended"))
-        rows = Rows(rows.t[keep], rows.values[:, keep])
+        rows = rows._replace(t=rows.t[keep], values=rows.values[:, keep])
     return rows, findings
 
 
@@ -69,7 +69,8 @@ def _stale(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     same = np.diff(rows.values, axis=1) == 0.0
     # A sensor that is stuck or at the end of its range repeats readings in correct rows too.
     repeated = same & (same.mean(axis=1) < OFTEN)[:, None]
-    stale = np.r_[False, repeated[2] & repeated[3] & (repeated.sum(axis=0) >= 3)]
+    forces = repeated[rows.channels.rows(("thrust", "recoil"))].all(axis=0)
+    stale = np.r_[False, forces & (repeated.sum(axis=0) >= 3)]
     if not stale.any():
         return rows, []
     at, values = rows.t[stale], rows.values.copy()
@@ -82,7 +83,7 @@ def _stale(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     span = float(at.min()), float(at.max())
     kind = "stuck" if frozen else "doubled_rows"
     found = Finding(trial.file, kind, None, *span, detail, "masked")
-    return Rows(rows.t, values), [found]
+    return rows._replace(values=values), [found]
 
 
 def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
@@ -97,7 +98,7 @@ def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
             "by time"
         )
         findings.append(Finding(trial.file, "unsorted", "t_s", at, None, detail, "mended"))
-        rows = Rows(rows.t[order], rows.values[:, order])
+        rows = rows._replace(t=rows.t[order], values=rows.values[:, order])
     same = np.flatnonzero(np.diff(rows.t) == 0.0)
     if not same.size:
         return rows, findings
@@ -112,7 +113,7 @@ def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     detail = f"{len(conflicts)} rows have equal times and different readings and were dropped"
     findings.append(Finding(trial.file, "doubled_rows", None, *span, detail, "masked"))
     keep = np.setdiff1d(np.arange(len(rows.t)), conflicts)
-    return Rows(rows.t[keep], rows.values[:, keep]), findings
+    return rows._replace(t=rows.t[keep], values=rows.values[:, keep]), findings
 
 
 def _gaps(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
@@ -141,7 +142,7 @@ def _gaps(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     times[there] = t
     values = np.full((len(rows.values), len(there)), np.nan)
     values[:, there] = rows.values
-    return Rows(times, values), _gap_findings(trial, times, there, float(slope))
+    return rows._replace(t=times, values=values), _gap_findings(trial, times, there, float(slope))
 
 
 def _gap_findings(trial: Trial, t: np.ndarray, there: np.ndarray, dt: float) -> list[Finding]:

@@ -1,5 +1,6 @@
 """Writes the results of a bench as statics.json, model.toml, text and figures."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -161,19 +162,21 @@ def draw_statics(found: Statics, folder: Path) -> None:
     """Writes a figure of every table to `folder`: measurement, model and residual."""
     for i, one in enumerate(found.bench.shapes):
         assert found.shapes is not None
-        _draw_shapes(one, found.shapes.predicted[i], folder / f"{Path(one.name).stem}.png")
+        chambers = found.bench.table.robot.chamber_names
+        path = folder / f"{Path(one.name).stem}.png"
+        _draw_shapes(one, chambers, found.shapes.predicted[i], path)
     if found.ring is not None:
         _draw_ring(found, folder)
 
 
-def _draw_shapes(one: Shapes, predicted: np.ndarray, path: Path) -> None:
+def _draw_shapes(one: Shapes, chambers: Sequence[str], predicted: np.ndarray, path: Path) -> None:
     figure, (top, low) = new_figure(2, 1, figsize=(7.0, 6.0), sharex=True, height_ratios=[3, 2])
     if one.kind == "tip_load":
         load, name = one.force, "lateral force on the tail's end (N)"
     else:
-        front = np.ptp(one.pressure[:, 0]) > 0.0
-        load = one.pressure[:, 0 if front else 1] / 1e3
-        name = f"pressure of the {'front' if front else 'rear'} chamber (kPa)"
+        moved = int(np.argmax(np.ptp(one.pressure, axis=0) > 0.0))
+        load = one.pressure[:, moved] / 1e3
+        name = f"pressure of the {chambers[moved]} chamber (kPa)"
     count = len(one.tip)
     parts = [("tip", one.tip, predicted[:count], "tab:blue")]
     if one.joint is not None:

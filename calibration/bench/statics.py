@@ -138,7 +138,7 @@ def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
 
     The derivatives (2, rows, 3) are with respect to `logs`.
     `logs` are the logarithms of EI_body, EI_tail and K_Q. `rows` contains on_tail (rows,), force
-    (rows,) and pressure (rows, 2), as in `Shapes`.
+    (rows,) and pressure (rows, chambers), as in `Shapes`.
     """
 
     def displacements(logs):
@@ -274,5 +274,5 @@ def _check_sides(shapes, found) -> None:
             raise InputError(
                 f"{s.name}: the model bends to the other side than the robot; tip_m must "
                 "be positive to the left, as seen from the tail: change the sign of tip_m or of "
-                "both pressures"
+                "the pressures"
             )

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from slider_jax.beam.parameters import Robot
+from slider_jax.channels import channels_of
 from slider_jax.errors import InputError
 from slider_jax.experiment.robot import robot_of
 from slider_jax.experiment.schema import RobotTable
@@ -78,7 +79,7 @@ class Shapes(NamedTuple):
     force: np.ndarray
     """Lateral force on the tail's end (rows,) [N]."""
     pressure: np.ndarray
-    """Front and rear pressure (rows, 2) [Pa]."""
+    """Pressure (rows, chambers) [Pa] of each chamber."""
     tip: np.ndarray
     """Displacement of the tail's end (rows,) [m]."""
     joint: np.ndarray | None
@@ -154,26 +155,28 @@ def _tip_load(folder: Path, x: TipLoadTable, robot: RobotTable) -> Shapes:
             "forces are in newtons: 1 g weighs 0.00981 N",
         )
     _same_way(path, force, tip, "force_N")
-    idle = np.zeros((len(force), 2))
+    idle = np.zeros((len(force), len(robot.chambers)))
     return Shapes(x.file, "tip_load", tail, force, idle, tip, joint, x.tip_noise)
 
 
 def _pressure(folder: Path, x: PressureTable, robot: RobotTable) -> Shapes:
     path = folder / x.file
-    columns = read_table(path, ("p_front_Pa", "p_rear_Pa", "tip_m"))
-    p = np.stack([columns["p_front_Pa"], columns["p_rear_Pa"]], axis=1)
+    channels = channels_of(robot.chamber_names)
+    names = [channels[x].column for x in channels.pressures]
+    columns = read_table(path, (*names, "tip_m"))
+    p = np.stack([columns[x] for x in names], axis=1)
     tip = columns["tip_m"]
     _enough(path, len(tip))
     largest = float(np.abs(p).max())
     if not 1e3 <= largest <= 2e6:
         raise InputError.value(
-            f"{path}, columns p_front_Pa and p_rear_Pa",
+            f"{path}, columns {' and '.join(names)}",
             f"a peak of {largest:g}",
             "peaks of 1e3 to 2e6 Pa",
             "pressures are in pascal, not kPa or psi",
         )
     steps = np.diff(p, axis=0)
-    if not any((steps[:, i] > 0.0).all() or (steps[:, i] < 0.0).all() for i in (0, 1)):
+    if not any((steps[:, i] > 0.0).all() or (steps[:, i] < 0.0).all() for i in range(len(names))):
         raise InputError(
             f"{path}: one of the pressures must increase or decrease in all rows; sort the rows by "
             "this pressure, and give loading and unloading as two tables"

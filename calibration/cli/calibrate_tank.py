@@ -17,7 +17,7 @@ def tank(
     experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
     out: Folder,
     also: Names = (),
-    channels: Names = ("p_front", "p_rear", "thrust", "recoil", "tip"),
+    channels: Names = (),
     per_frequency: bool = False,
     each: Names = ("C_d", "m_a"),
     method: Method = "auto",
@@ -37,7 +37,7 @@ def tank(
         out: folder for the results; created if missing. Files of the same name are replaced.
         also: names of effects whose parameters are also identified (default: none). The command
             slider effects lists the names.
-        channels: names of the channels to fit (default: p_front p_rear thrust recoil tip).
+        channels: names of the channels to fit (default: all channels of the experiment).
         per_frequency: compare separate values for every drive frequency with constant values.
         each: names of the parameters that may differ between frequencies (default: C_d m_a).
         method: lm (Gauss-Newton with step shortening), lbfgs (L-BFGS), or auto (lbfgs for 12
@@ -58,7 +58,7 @@ def tank(
 
     progress = timed_printer()
     loaded = load(experiment, model)
-    check_names(also, channels, method)
+    check_names(also, channels, method, loaded.channels)
     if per_frequency:
         refuse_unknown("--each", each, [p.label for p in model_parameters(also)])
     with tentative_folder(out):

@@ -75,7 +75,7 @@ def close_loop(
             model_toml, shown = loop_model_toml(outcome), None
             if learning is not None and learning.model is not None:
                 model_toml = learned_model_toml(outcome, learning)
-                shown = learned_parts(record["learned"])
+                shown = learned_parts(record["learned"], outcome.problem.all_channels)
             write_text(stage / "model.toml", model_toml)
             write_text(stage / "report.html", loop_page(outcome, record, shown))
     lines = [*parameter_lines(record), *error_lines(record), *learned_lines(record)]

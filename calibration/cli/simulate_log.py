@@ -13,7 +13,7 @@ from calibration.pressure_logs.problem import log_experiment
 from calibration.pressure_logs.read import PA_PER_PSI, ManifoldLog, read_log
 from calibration.pressure_logs.residual_shape import whole_cycles
 from slider_jax.actuation import FirstOrderLag, Recorded
-from slider_jax.channels import CHANNELS, TIME, recorded_series
+from slider_jax.channels import TIME
 from slider_jax.cli.progress import Progress
 from slider_jax.dynamics.model import Drive
 from slider_jax.dynamics.step import Carry, at_rest
@@ -56,7 +56,7 @@ def simulate_log(
     with staged(out) as stage:
         with Progress(path.stem, "sample") as progress:
             columns = drive_robot(log, experiment, drive, progress.to)
-        formats = {TIME: ".3f"} | {x.column: x.digits for x in CHANNELS.values()}
+        formats = {TIME: ".3f"} | {x.column: x.digits for x in experiment.channels.values()}
         write_csv(stage / f"{path.stem}.csv", columns, formats)
         record = log_summary(log, experiment, model, drive, columns)
         write_json(stage / "summary.json", record)
@@ -126,9 +126,10 @@ def drive_robot(
         for name, first in initial.items()
     }
     true = {name: jnp.asarray(values) for name, values in series.items()}
-    readings = recorded_series(base.effects, jnp.asarray(at), true)
+    channels = prepared.channels
+    readings = channels.recorded(base.effects, jnp.asarray(at), true)
     kept = np.round(log.t / log.period).astype(int)
-    columns = {channel.column: np.asarray(readings[x])[kept] for x, channel in CHANNELS.items()}
+    columns = {channel.column: np.asarray(readings[x])[kept] for x, channel in channels.items()}
     return {TIME: log.t} | columns
 
 

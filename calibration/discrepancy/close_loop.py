@@ -104,7 +104,9 @@ class LoopOutcome:
     @property
     def statuses(self) -> list[EffectStatus]:
         """Status of each added effect."""
-        return judge_effects(self.search, self.final.theta, self.excess, self.replaceable)
+        return judge_effects(
+            self.search, self.final.theta, self.excess, self.problem.all_channels, self.replaceable
+        )
 
     @property
     def chosen(self) -> Fit:
@@ -391,7 +393,8 @@ def conclude(
     final = shift_by_discrepancy(all_trials, final, along)
     final = widen_by_correlation(all_trials, final)
     after = tested_excess(problem, result.final)
-    verdict = reach_verdict(result, judge_effects(result, final.theta, after), after)
+    statuses = judge_effects(result, final.theta, after, problem.all_channels)
+    verdict = reach_verdict(result, statuses, after)
     return LoopOutcome(
         experiment,
         result.entries,

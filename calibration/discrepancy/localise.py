@@ -9,7 +9,6 @@ from scipy.stats import spearmanr
 
 from calibration.inference.goodness import Excess
 from calibration.measurements.records import Record
-from slider_jax.channels import row_of
 
 TREND_P = 0.05
 """Probability that noise alone causes at least one of the reported trends (Bonferroni)."""
@@ -34,7 +33,7 @@ def locate_residuals(
     for channel, x in left.items():
         if not x.above(noise_floor):
             continue
-        row, worst = row_of(channel), int(np.nanargmax(x.trials))
+        row, worst = records[0].row(channel), int(np.nanargmax(x.trials))
         trials = [r.trial for r in records]
         if x.all <= noise_floor:
             worst = [t.file for t in trials].index(x.patterns[0].trial)
@@ -71,7 +70,7 @@ def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str
     this sine explains.
     """
     there = record.there(channel)
-    r = (record.values[row_of(channel)] - model)[there]
+    r = (record.values[record.row(channel)] - model)[there]
     square = r**2 / max(float(np.sum(r**2)), 1e-300)
     away = (model - model.mean()) * np.gradient(model) > 0.0
     timing = {

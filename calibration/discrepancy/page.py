@@ -19,7 +19,7 @@ from calibration.discrepancy.report import (
 from calibration.discrepancy.verdict import BEYOND_PRIOR, CLASS, IDENTIFIED, PROVISIONAL
 from calibration.reporting.html import embedded_png, render_page
 from calibration.reporting.parameters import undetermined, widened
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import ChannelSet
 from slider_jax.io.figures import new_figure
 
 SHOWN_STRIDES = 3.0
@@ -41,6 +41,7 @@ def loop_page(
     `learned` contains the picture and the table of errors of a learned function.
     """
     known, settings = dict(record["parameters"]), outcome.search.settings
+    channels = outcome.problem.all_channels
     choice = record.get("candidate_choice")
     restricted = choice_sentence(choice) if choice else ""
     for effect in record["effects"]:
@@ -73,12 +74,14 @@ def loop_page(
         ],
         residual_line=residual_sentence(outcome),
         effect_files=_sources({"logs": record["effect_files"]}),
-        errors=_errors(record["errors"]),
-        held_out=_errors(record["held_out"]),
+        errors=_errors(channels, record["errors"]),
+        held_out=_errors(channels, record["held_out"]),
         floor_ratio=np.sqrt(settings.noise_floor),
         above=[c for c, x in record["left_over_noise"].items() if x**2 > settings.noise_floor],
         patterns=[
-            f"{c}: {pattern_text(p)}." for c, x in outcome.excess.items() for p in x.patterns
+            f"{c}: {pattern_text(channels[c], p)}."
+            for c, x in outcome.excess.items()
+            for p in x.patterns
         ],
         whiteness=_whiteness(record["whiteness"]["channels"]),
         noise=_noise(outcome),
@@ -121,10 +124,10 @@ def _sources(given: dict[str, Any]) -> str:
     return ", ".join(f"{x['path']} (sha256 {x['sha256'][:12]})" for x in files)
 
 
-def _errors(errors: dict[str, dict[str, float]]) -> list[list[str]]:
+def _errors(channels: ChannelSet, errors: dict[str, dict[str, float]]) -> list[list[str]]:
     rows = []
     for channel, row in errors.items():
-        factor, unit = CHANNELS[channel].plot_factor, CHANNELS[channel].plot_unit
+        factor, unit = channels[channel].plot_factor, channels[channel].plot_unit
         rows.append([f"{channel} ({unit})", *(f"{factor * x:.3g}" for x in row.values())])
     return rows
 
@@ -144,9 +147,9 @@ def _whiteness(channels: dict[str, Any]) -> list[list[str]]:
 
 def _noise(outcome: LoopOutcome) -> list[list[str]]:
     """Returns a row for every channel with its declared, measured and used white noise."""
-    rows = []
+    rows, channels = [], outcome.problem.all_channels
     for channel, x in outcome.noise.items():
-        factor, unit = CHANNELS[channel].plot_factor, CHANNELS[channel].plot_unit
+        factor, unit = channels[channel].plot_factor, channels[channel].plot_unit
         sizes = ["" if y is None else f"{factor * y:.3g}" for y in (x.declared, x.measured, x.used)]
         tails = "normal" if x.freedom is None else f"{x.freedom:.2g} degrees of freedom"
         rows.append([f"{channel} ({unit})", *sizes, x.method, tails])
@@ -216,13 +219,13 @@ def _consequence(record: dict[str, Any]) -> list[list[str]]:
 def readings_figure(outcome: LoopOutcome):
     """Plots a trial's last strides and its whole residual, without and with the added effects."""
     record, before, after = _shown_trial(outcome)
-    channels = [c for c in CHANNELS if record.has(c)]
+    channels = [c for c in record.channels if record.has(c)]
     size = 12.0, 1.2 + 1.6 * len(channels)
     figure, axes = new_figure(len(channels), 2, figsize=size, sharex="col", squeeze=False)
     late = record.t >= record.t[-1] - SHOWN_STRIDES / (record.trial.frequency or 1.0)
     models = ((before, "before", "tab:orange"), (after, "after", "tab:blue"))
     for (left, right), channel in zip(axes, channels, strict=True):
-        row, shown = row_of(channel), CHANNELS[channel]
+        row, shown = record.row(channel), record.channels[channel]
         factor, unit = shown.plot_factor, shown.plot_unit
         there = record.there(channel)
         here, t, y = there & late, record.t, factor * record.values[row]
@@ -245,7 +248,7 @@ def _shown_trial(outcome: LoopOutcome):
     """Returns the trial that the added effects change most, and its predictions (before, after)."""
     fitted = outcome.used_trials
     pairs = list(zip(outcome.search.base.predicted, outcome.chosen.predicted, strict=True))
-    rows = [row_of(c) for c in outcome.problem.channels]
+    rows = outcome.problem.all_channels.rows(outcome.problem.channels)
     difference = [
         sum(float(np.mean((a[c] - b[c]) ** 2) / max(np.var(a[c]), 1e-300)) for c in rows)
         for a, b in pairs

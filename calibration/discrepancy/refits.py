@@ -25,7 +25,6 @@ from calibration.inference.measured_discrepancy import DiscrepancyMeter
 from calibration.inference.noise import Whitener
 from calibration.inference.problem import FAILED, AbstractProblem, normal_equations, summed, total
 from calibration.model.extended import Parameter
-from slider_jax.channels import row_of
 
 MOST_KEPT = 2**29
 """Largest size of the tangents that are kept for other whiteners [bytes]. A cache on the disk
@@ -93,7 +92,7 @@ def _set_rows(
 
     The list `along` is empty afterwards.
     """
-    channels = [row_of(c) for c in problem.channels]
+    channels = problem.all_channels.rows(problem.channels)
     finite = [np.isfinite(x[:, c]).all(axis=1) for x in along for c in channels]
     failed = ~np.all(finite, axis=0)
     for x in found:
@@ -110,7 +109,7 @@ def _set_secants(
     settings: SelectionSettings,
 ) -> None:
     """Sets `rows` of the arrays `found` to secants from the null to the start of a parameter."""
-    channels, unit = [row_of(c) for c in problem.channels], np.eye(len(theta))
+    channels, unit = problem.all_channels.rows(problem.channels), np.eye(len(theta))
     priors = {i: entries[i].prior for i in rows}
     size = {i: p.start - p.null for i, p in priors.items() if p.start is not None}
     for _ in range(settings.max_halvings):

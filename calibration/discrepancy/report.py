@@ -19,7 +19,7 @@ from calibration.discrepancy.verdict import (
 from calibration.inference.whiteness import SeriesTest
 from calibration.model.extended import base_values
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import Channel
 from slider_jax.effects.library import LIBRARY
 from slider_jax.io.files import provenance
 from slider_jax.io.toml import toml_text
@@ -65,7 +65,7 @@ def loop_record(
         "audit": [x._asdict() for x in outcome.audit],
         "next_experiment": following,
         "learned": None,
-        "units": {name: CHANNELS[name].unit for name in CHANNELS},
+        "units": {name: x.unit for name, x in outcome.problem.all_channels.items()},
         "left_over_noise": {c: np.sqrt(x.all) for c, x in outcome.excess.items()},
         "seconds": seconds,
         "input": source,
@@ -340,7 +340,8 @@ def residual_sentence(outcome: LoopOutcome) -> str:
             worst = fitted[int(np.nanargmax(x.trials))].trial.file
             text.append(f"mean square {x.all:.3g} times the noise variance, largest in {worst}")
         if x.patterns:
-            text.append(pattern_text(max(x.patterns, key=lambda p: p.line)))
+            channel = outcome.problem.all_channels[c]
+            text.append(pattern_text(channel, max(x.patterns, key=lambda p: p.line)))
         (large if is_large else patterned).append(f"{c} ({'; '.join(text)})")
     sentences = []
     if large:
@@ -353,14 +354,14 @@ def residual_sentence(outcome: LoopOutcome) -> str:
     return " ".join(sentences)
 
 
-def pattern_text(x: SeriesTest) -> str:
-    """Returns what a test of whiteness found in a trial: a sine, or correlated readings."""
+def pattern_text(channel: Channel, x: SeriesTest) -> str:
+    """Returns what a test of whiteness of a `channel` found: a sine, or correlated readings."""
     if not x.has_line:
         return (
             f"{x.trial} has a correlated residual, with a sum of squared autocorrelations of "
             f"{x.correlation:.2g}"
         )
-    factor, unit = CHANNELS[x.channel].plot_factor, CHANNELS[x.channel].plot_unit
+    factor, unit = channel.plot_factor, channel.plot_unit
     return (
         f"{x.trial} has a sine of {x.frequency_Hz:.3g} Hz with an amplitude of "
         f"{factor * x.amplitude:.3g} {unit}"
@@ -398,9 +399,9 @@ def instability_sentences(outcome: LoopOutcome) -> list[str]:
 
 def noise_sentences(outcome: LoopOutcome) -> list[str]:
     """Returns a sentence on each channel whose noise differs from the declared noise."""
-    text = []
+    text, channels = [], outcome.problem.all_channels
     for c, x in outcome.noise.items():
-        factor, unit = CHANNELS[c].plot_factor, CHANNELS[c].plot_unit
+        factor, unit = channels[c].plot_factor, channels[c].plot_unit
         if x.replaced and x.declared is not None and x.measured is not None:
             text.append(
                 f"The declared white noise of {c} is {factor * x.declared:.3g} {unit}, but the "
@@ -440,7 +441,7 @@ def discrepancy_sentences(outcome: LoopOutcome) -> list[str]:
     error = x.used - x.measured if x.declared is None else 0.0
     if x.measured - REPEATABLE_ERRORS * error <= x.lower_limit:
         return []
-    least = "at least " if x.measured >= CHANNELS["thrust"].discrepancy else ""
+    least = "at least " if x.measured >= outcome.problem.all_channels["thrust"].discrepancy else ""
     return [
         f"The data contain a repeatable error of {least}{100.0 * x.measured:.2g} % of the "
         f"thrust's rms that no effect explains. The model's own discretisation error is at most "

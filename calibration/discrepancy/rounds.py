@@ -13,7 +13,6 @@ from calibration.inference.gauss_newton import Fit
 from calibration.inference.measured_discrepancy import Discrepancy
 from calibration.inference.problem import AbstractProblem
 from calibration.model.extended import Parameter
-from slider_jax.channels import row_of
 from slider_jax.effects import Prior
 
 
@@ -192,7 +191,7 @@ def relative_changes(
     """
     found = {}
     for channel in dict.fromkeys(name for _, name in problem.noise):
-        row, changes, signals = row_of(channel), [], []
+        row, changes, signals = problem.all_channels.row(channel), [], []
         for record, a, b in zip(problem.records, before, after, strict=True):
             there = record.there(channel)
             changes.append((b[row] - a[row])[there])

@@ -9,7 +9,7 @@ from calibration.discrepancy.ranges import at_edge
 from calibration.discrepancy.rounds import Selection
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.goodness import Excess
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import ChannelSet
 
 NOTHING, IDENTIFIED, CLASS = "nothing_missing", "identified", "class"
 PARTLY, UNEXPLAINED, INCONCLUSIVE = "partly_explained", "unexplained", "inconclusive"
@@ -49,7 +49,11 @@ def parameters_beyond_prior(search: Selection, theta: np.ndarray, name: str) -> 
 
 
 def judge_effects(
-    search: Selection, theta: np.ndarray, after: Mapping[str, Excess], replaceable: bool = False
+    search: Selection,
+    theta: np.ndarray,
+    after: Mapping[str, Excess],
+    channels: ChannelSet,
+    replaceable: bool = False,
 ) -> list[EffectStatus]:
     """Returns the status of each added effect.
 
@@ -60,27 +64,20 @@ def judge_effects(
     floor, because it may correct what the wrong pressure causes.
     """
     left, found = channels_above_floor(after, search.settings), []
+    pressures = channels.pressures
     for round_ in search.rounds:
         name = round_.chosen
         if name is None or name not in search.effects:
             continue
         sizes = next(t.sizes for t in round_.refitted if t.name == name)
         changed = [c for c, x in sizes.items() if x > search.discrepancies[c]]
-        above = [c for c in left if c in changed or (_is_pressure(c) and _is_driven(changed))]
+        driven = bool(changed) and not any(c in pressures for c in changed)
+        above = [c for c in left if c in changed or (c in pressures and driven)]
         beyond = parameters_beyond_prior(search, theta, name)
         doubtful = bool(above) or replaceable or not search.final.converged
         status = _status(round_.equivalent, beyond, doubtful)
         found.append(EffectStatus(name, status, round_.equivalent, above, beyond))
     return found
-
-
-def _is_pressure(channel: str) -> bool:
-    return CHANNELS[channel].kind == "pressure"
-
-
-def _is_driven(changed: Collection[str]) -> bool:
-    """Returns whether the channels are driven by the pressures, and contain no pressure."""
-    return bool(changed) and not any(_is_pressure(c) for c in changed)
 
 
 def _status(equivalent: list[str], beyond: list[int], doubtful: bool) -> str:

@@ -25,7 +25,6 @@ from calibration.model.initial_swing import declared_swing_spans
 from calibration.model.plan import COARSE, Resolution, TrialPlan, plan_trial
 from calibration.model.predict import predict_each, predict_readings
 from calibration.model.tangents import reading_tangents
-from slider_jax.channels import CHANNELS, row_of
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
@@ -71,13 +70,13 @@ class SensorModel:
             there = any((experiment.folder / t.file).exists() for t in experiment.trials)
             found = load_records(experiment) if there else []
         noise, every = {}, {}
-        for channel in CHANNELS:
+        for channel, sensor in experiment.channels.items():
             recorded = [r for r in found if r.has(channel)]
-            key = CHANNELS[channel].noise
+            key = sensor.noise
             if recorded:
                 each = [
                     fitted.get((r.trial.file, channel))
-                    or channel_noise(experiment.sensors, channel, r.values[row_of(channel)])
+                    or channel_noise(experiment.sensors, sensor, r.values[r.row(channel)])
                     for r in recorded
                 ]
                 whites = [float(np.median(x.white)) for x in each]
@@ -86,7 +85,7 @@ class SensorModel:
                 share = np.mean([r.there(channel).mean() for r in recorded])
                 every[channel] = max(1, round(1.0 / float(share)))
             elif not found and key and getattr(experiment.sensors, key) > 0.0:
-                noise[channel] = channel_noise(experiment.sensors, channel, np.zeros(2))
+                noise[channel] = channel_noise(experiment.sensors, sensor, np.zeros(2))
                 every[channel] = 1
         if not noise:
             raise InputError(
@@ -168,7 +167,10 @@ class TrialInformation:
         found = []
         for channel in self.sensing.noise:
             noise = self.sensing.noise_of(trial, channel)
-            row, here = row_of(channel), self.sensing.samples(trial, channel, len(p.at))
+            row, here = (
+                p.extended.channels.row(channel),
+                self.sensing.samples(trial, channel, len(p.at)),
+            )
             if here.sum() < 20:
                 continue
             raw, signal = J[:, row, here], y[row, here]
@@ -213,7 +215,7 @@ class TrialInformation:
     def _tangents(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
         """Returns tangents or secants (k, channels, n); NaN where the simulation fails."""
         straight = [j for j, i in enumerate(self.chosen) if i not in self.secants]
-        J = np.empty((len(self.chosen), len(CHANNELS), len(p.at)))
+        J = np.empty((len(self.chosen), len(p.extended.channels), len(p.at)))
         if straight:
             directions = np.eye(len(self.theta))[self.chosen[straight]]
             J[straight] = reading_tangents(p, self.theta, directions)

@@ -22,7 +22,7 @@ from calibration.measurements.records import Finding, Record
 from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
 from calibration.model.plan import COARSE, FINE, Resolution
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
-from slider_jax.channels import BUILT_IN, CHANNELS
+from slider_jax.channels import ChannelSet
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import refuse_unknown
 from slider_jax.experiment.load import Experiment
@@ -52,17 +52,22 @@ class Identified(NamedTuple):
     """Warning that a residual exceeds the noise floor, or an empty text."""
 
 
-def check_names(effects: Sequence[str], channels: Sequence[str], method: str) -> None:
-    """Raises `InputError` for a name that `identify_parameters` does not accept."""
+def check_names(
+    effects: Sequence[str], channels: Sequence[str], method: str, known: ChannelSet
+) -> None:
+    """Raises `InputError` for a name that `identify_parameters` does not accept.
+
+    `known` are the channels of the experiment.
+    """
     refuse_unknown("--method", [method], ("auto", *METHODS))
     refuse_unknown("--also", effects, LIBRARY, "the names that slider effects lists")
-    refuse_unknown("--channels", channels, CHANNELS)
+    refuse_unknown("--channels", channels, known)
 
 
 def identify_parameters(
     experiment: Experiment,
     effects: Sequence[str] = (),
-    channels: Sequence[str] = BUILT_IN,
+    channels: Sequence[str] = (),
     progress: Callable[[str], None] = lambda text: None,
     fine: Resolution = FINE,
     coarse: Resolution = COARSE,
@@ -70,14 +75,15 @@ def identify_parameters(
 ) -> Identified:
     """Fits C_d, m_a, k, K_Q and the parameters of `effects` to all measured trials.
 
-    `method` is "lm" (Gauss-Newton), "lbfgs" (L-BFGS), or "auto" (see `LBFGS_PARAMETERS`). Raises
-    `InputError` for an unknown effect, channel or method, or if no measured trial can be used.
+    `channels` are the fitted channels (default: all). `method` is "lm" (Gauss-Newton), "lbfgs"
+    (L-BFGS), or "auto" (see `LBFGS_PARAMETERS`). Raises `InputError` for an unknown effect, channel
+    or method, or if no measured trial can be used.
     """
-    check_names(effects, channels, method)
+    check_names(effects, channels, method, experiment.channels)
     entries = model_parameters(tuple(effects))
 
     def problem_of(chosen: Sequence[Record]) -> TankProblem:
-        names, fitted = tuple(effects), tuple(channels)
+        names, fitted = tuple(effects), tuple(channels) or None
         return TankProblem.of(experiment, list(chosen), names, fitted, fine, coarse)
 
     base = base_vector(entries, base_values(experiment))
@@ -143,7 +149,7 @@ def identification_record(found: Identified, source: dict[str, Any]) -> dict[str
         "mean_square_over_noise": found.fit.square / found.fit.samples,
         "trials": [r.trial.file for r in found.problem.records],
         "audit": [x._asdict() for x in found.audit],
-        "units": {name: CHANNELS[name].unit for name in CHANNELS},
+        "units": {name: x.unit for name, x in found.problem.all_channels.items()},
         "input": source,
         **provenance(),
         "settings": found.experiment.model_dump(),
@@ -155,9 +161,10 @@ def parameter_table(found: Identified) -> str:
     labels = [p.label for p in found.entries]
     lines = entry_lines(found.fit, found.entries, labels, found.proposals)
     errors = channel_errors(found.problem, found.before, found.fit.predicted)
+    channels = found.problem.all_channels
     lines += [
         f"{c:<28} rms {x['before']:.3g} before, {x['after']:.3g} after, noise floor "
-        f"{x['floor']:.3g} {CHANNELS[c].unit}"
+        f"{x['floor']:.3g} {channels[c].unit}"
         for c, x in errors.items()
     ]
     lines += [found.doubt] if found.doubt else []

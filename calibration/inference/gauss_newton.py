@@ -29,7 +29,6 @@ from calibration.inference.problem import (
     total,
 )
 from calibration.model.extended import Parameter
-from slider_jax.channels import row_of
 
 MAX_ITERATIONS = 40
 """Most fits need 4 to 8 iterations. Fits need more if an effect replaces a part of the model."""
@@ -272,7 +271,7 @@ def reading_derivatives(
     if takes_differences(theta, free):
         steps = np.array([difference_step(entries[i], theta[i]) for i in free])
         changes = problem.secants(theta, list(theta + steps[:, None] * unit))
-        rows = [row_of(channel) for channel in problem.channels]
+        rows = problem.all_channels.rows(problem.channels)
         if all(np.isfinite(x[:, rows]).all() for x in changes):
             return [x / steps[:, None, None] for x in changes]
     return problem.tangents(theta, unit)

@@ -7,7 +7,6 @@ import numpy as np
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import AbstractProblem
 from calibration.inference.whiteness import SeriesTest, whiteness_tests
-from slider_jax.channels import row_of
 
 
 class Excess(NamedTuple):
@@ -72,7 +71,7 @@ def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[st
     """Returns each channel's rms error over all trials, in the unit of the channel."""
     found = {}
     for channel in problem.channels:
-        row = row_of(channel)
+        row = problem.all_channels.row(channel)
         errors = [
             (r.values[row] - y[row])[r.there(channel)]
             for r, y in zip(problem.records, predicted, strict=True)
@@ -99,7 +98,7 @@ def noise_floors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[
     """
     found = {}
     for channel in problem.channels:
-        row, parts = row_of(channel), []
+        row, parts = problem.all_channels.row(channel), []
         for (i, name), noise in problem.noise.items():
             if name == channel:
                 share = noise.discrepancy * float(np.std(predicted[i][row]))

@@ -44,7 +44,7 @@ from calibration.inference.noise import (
     discrepancy_correlation,
 )
 from calibration.inference.problem import AbstractProblem
-from slider_jax.channels import BUILT_IN, CHANNELS, row_of
+from slider_jax.channels import Channel
 
 ORDER = 2
 """Order of convergence of the readings with the number of cells and time steps. In sixteen trials,
@@ -69,10 +69,6 @@ GRID = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 241)])
 LEAST_MODE = 1e-2
 """Without a repeating error, each component has unit variance. A component is omitted if the
 channel's largest discrepancy increases this variance by at most this value."""
-CONSTANT = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "pressure")
-"""Channels whose discrepancy is not measured. Both meshes have the same pressures, so there is no
-lower limit. Errors of the pressures may also have a period of several strides. With time steps of
-0.2 ms at 6 Hz, for example, the period is three strides."""
 LEAST_FALL = 0.2
 """The loop repeats the fit with the measured discrepancies if the new discrepancy of a channel is
 smaller than its discrepancy in the noise model by more than this fraction."""
@@ -123,30 +119,44 @@ class DiscrepancyMeter:
 
         def one(key: tuple[int, str]) -> tuple[tuple[int, str], SeriesError]:
             i, channel = key
-            r, row, there = problem.records[i], row_of(channel), problem.records[i].there(channel)
+            r = problem.records[i]
+            row, there = r.row(channel), r.there(channel)
             swings = None if spans is None else spans[i][:, row, there]
             model = np.nan_to_num(fine[i][row][there])
             return key, _series_error(problem, key, r.t[there], model, swings)
 
         # Threads would compete with the threads of the linear algebra and take ten times as long.
-        self._series = dict(one(key) for key in problem.noise if key[1] not in CONSTANT)
+        self._series = dict(
+            one(key) for key in problem.noise if is_measured(problem.all_channels[key[1]])
+        )
 
     def __call__(self, predicted: Sequence[np.ndarray]) -> dict[str, Discrepancy]:
         """Returns the discrepancy of each channel for the model's readings `predicted`."""
         parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
         for (i, channel), x in self._series.items():
-            r, row = self.problem.records[i], row_of(channel)
+            r, row = self.problem.records[i], self.problem.records[i].row(channel)
             z = x.components((r.values[row] - predicted[i][row])[r.there(channel)])
             if len(z) and np.isfinite(z).all():
                 parts.setdefault(channel, []).append((x.sizes, z))
         return {c: self._discrepancy(c, parts.get(c, [])) for c in self.problem.discrepancies}
 
     def _discrepancy(self, channel: str, parts: list[tuple[np.ndarray, np.ndarray]]) -> Discrepancy:
-        most, least = CHANNELS[channel].discrepancy, self.lower_limits.get(channel, 0.0)
+        most = self.problem.all_channels[channel].discrepancy
+        least = self.lower_limits.get(channel, 0.0)
         measured, upper = likely_error(parts, most) if parts else (None, most)
         declared = self.problem.declared.get(channel)
         used = max(upper, least) if declared is None else declared
         return Discrepancy(declared, least, measured, used)
+
+
+def is_measured(channel: Channel) -> bool:
+    """Returns whether the discrepancy of a channel is measured: it is not, for pressures.
+
+    Both meshes have the same pressures, so there is no lower limit. Errors of the pressures may
+    also have a period of several strides. With time steps of 0.2 ms at 6 Hz, for example, the
+    period is three strides.
+    """
+    return channel.kind != "pressure"
 
 
 def _series_error(
@@ -174,7 +184,7 @@ def _series_error(
     curves = float(np.std(model)) * np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     white = whiten(curves[:, step])
     sizes, turn = eigh(white @ white.T)
-    kept = sizes * CHANNELS[key[1]].discrepancy ** 2 > LEAST_MODE
+    kept = sizes * problem.all_channels[key[1]].discrepancy ** 2 > LEAST_MODE
     modes = turn[:, kept].T @ white / np.sqrt(sizes[kept])[:, None]
     return SeriesError(here, whiten, modes, sizes[kept])
 
@@ -205,7 +215,7 @@ def discretisation_errors(
     """
     found: dict[str, list[float]] = {}
     for i, channel in problem.noise:
-        row, there = row_of(channel), problem.records[i].there(channel)
+        row, there = problem.records[i].row(channel), problem.records[i].there(channel)
         y, other = fine[i][row][there], coarse[i][row][there]
         if np.isfinite(y).all() and np.isfinite(other).all() and np.std(y) > 0.0:
             columns = np.stack([np.ones_like(y), y], axis=1)

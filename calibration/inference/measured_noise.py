@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from calibration.inference.noise import Noise, channel_noise, quantisation_step, signal_shares
 from calibration.measurements.records import Record
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import Channel
 from slider_jax.experiment.schema import SensorsTable
 
 TOO_SMALL, TOO_LARGE = 1.15, 0.8
@@ -96,20 +96,20 @@ class ChannelNoise(NamedTuple):
 def measured_noises(sensors: SensorsTable, records: Sequence[Record]) -> dict[str, ChannelNoise]:
     """Returns the declared, measured and used white noise of each channel in the `records`."""
     found = {}
-    for channel in CHANNELS:
-        chosen = [r for r in records if r.has(channel)]
+    for name, channel in records[0].channels.items():
+        chosen = [r for r in records if r.has(name)]
         if chosen:
-            found[channel] = _channel_noise(sensors, channel, chosen)
+            found[name] = _channel_noise(sensors, channel, chosen)
     return found
 
 
-def _channel_noise(sensors: SensorsTable, channel: str, records: list[Record]) -> ChannelNoise:
+def _channel_noise(sensors: SensorsTable, channel: Channel, records: list[Record]) -> ChannelNoise:
     """Returns the noise of one channel, which all `records` contain."""
-    series = [r.values[row_of(channel)][r.there(channel)] for r in records]
+    series = [r.values[r.row(channel.name)][r.there(channel.name)] for r in records]
     expected = float(np.median([channel_noise(sensors, channel, x).white for x in series]))
-    key = CHANNELS[channel].noise
+    key = channel.noise
     declared = expected if key and getattr(sensors, key) > 0.0 else None
-    lags = [_stride(r, channel) for r in records]
+    lags = [_stride(r, channel.name) for r in records]
     repeated = [x[n:] - x[:-n] for x, n in zip(series, lags, strict=True) if 0 < n < len(x)]
     best, *others = [_pooled(series, order, HIGH_BAND) for order in ORDERS]
     # The difference of two readings has twice the variance of the noise.
@@ -134,7 +134,7 @@ def _channel_noise(sensors: SensorsTable, channel: str, records: list[Record]) -
     return ChannelNoise(declared, best.size, max(best.size, least), best.method)
 
 
-def _least_noise(sensors: SensorsTable, channel: str, series: list[np.ndarray]) -> float:
+def _least_noise(sensors: SensorsTable, channel: Channel, series: list[np.ndarray]) -> float:
     """Returns the smallest noise of a channel that the loop uses."""
     size = float(np.median([np.std(x) for x in series]))
     limits = [

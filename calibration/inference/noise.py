@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cholesky, eigh, solve_triangular, toeplitz
 
 from calibration.inference.intervals import noise_floor
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import Channel
 from slider_jax.experiment.schema import SensorsTable
 
 DISCREPANCY_TIME = 0.02
@@ -71,13 +71,13 @@ class Noise(NamedTuple):
     """Expected mean square of the whitened noise; below 1 for noise with heavy tails."""
 
 
-def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> Noise:
+def channel_noise(sensors: SensorsTable, channel: Channel, values: np.ndarray) -> Noise:
     """Returns the noise that an experiment declares for a channel.
 
     If the experiment declares no white noise, the white noise is estimated from the measured
     `values` (n,). The declared white noise of a pressure is increased by the quantisation noise.
     """
-    key, kind = CHANNELS[channel].noise, CHANNELS[channel].kind
+    key, kind = channel.noise, channel.kind
     white = getattr(sensors, key) if key else 0.0
     there = values[np.isfinite(values)]
     if white == 0.0:
@@ -98,17 +98,17 @@ def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> No
     return noise
 
 
-def declared_shares(sensors: SensorsTable, channel: str) -> tuple[float | None, float | None]:
+def declared_shares(sensors: SensorsTable, channel: Channel) -> tuple[float | None, float | None]:
     """Returns the gain and the discrepancy that an experiment declares for a channel, or None."""
-    key = CHANNELS[channel].share_key
+    key = channel.share_key
     if not key:
         return None, None
     return getattr(sensors, f"{key}_gain"), getattr(sensors, f"{key}_discrepancy")
 
 
-def signal_shares(sensors: SensorsTable, channel: str) -> tuple[float, float]:
+def signal_shares(sensors: SensorsTable, channel: Channel) -> tuple[float, float]:
     """Returns a channel's gain and discrepancy: the declared values, or else the constants."""
-    constants = CHANNELS[channel].gain, CHANNELS[channel].discrepancy
+    constants = channel.gain, channel.discrepancy
     gain, discrepancy = (
         constant if declared is None else declared
         for declared, constant in zip(declared_shares(sensors, channel), constants, strict=True)

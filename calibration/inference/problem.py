@@ -39,7 +39,7 @@ from calibration.model.initial_swing import swing_spans
 from calibration.model.plan import COARSE, FINE, Resolution, TrialPlan, plan_trial
 from calibration.model.predict import compile_readings, predict_each
 from calibration.model.tangents import compile_tangents, reading_tangents
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import ChannelSet
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.prepare import prepare
 
@@ -120,6 +120,11 @@ class AbstractProblem(ABC):
     """The last whitener of each trial and channel; problems that `replace` makes share them."""
 
     @property
+    def all_channels(self) -> ChannelSet:
+        """All channels of the experiment, in the order of the rows of readings."""
+        return self.records[0].channels
+
+    @property
     def discrepancies(self) -> dict[str, float]:
         """Returns each channel's discrepancy in the noise, as a fraction of the channel's rms."""
         return {channel: noise.discrepancy for (_, channel), noise in self.noise.items()}
@@ -189,7 +194,7 @@ class AbstractProblem(ABC):
             i, channel = key
             r = self.records[i]
             there = r.there(channel)
-            row = row_of(channel)
+            row = r.row(channel)
             model = np.nan_to_num(predicted[i][row][there])
             swings = None if swing is None else swing[i][:, row, there]
             noise, t, frequency = self.noise[key], r.t[there], r.trial.frequency
@@ -210,8 +215,8 @@ class AbstractProblem(ABC):
         found = {}
         for key, whiten in white.items():
             i, channel = key
-            row, there = row_of(channel), self.records[i].there(channel)
-            found[key] = whiten((self.records[i].values[row] - predicted[i][row])[there])[0]
+            r, row = self.records[i], self.records[i].row(channel)
+            found[key] = whiten((r.values[row] - predicted[i][row])[r.there(channel)])[0]
         return found
 
     def whitened(
@@ -224,7 +229,8 @@ class AbstractProblem(ABC):
 
         def one(key):
             i, channel = key
-            series, there = changes[i][:, row_of(channel)], self.records[i].there(channel)
+            r = self.records[i]
+            series, there = changes[i][:, r.row(channel)], r.there(channel)
             series = series if there.all() else series[:, there]
             found = np.empty_like(series)
             for rows in slices(*series.shape):
@@ -276,7 +282,8 @@ class TankProblem(AbstractProblem):
         are left out: the change of a reading that no sensor measured is no evidence. The noise is
         the declared noise, unless `measured` replaces it.
         """
-        wanted = tuple(CHANNELS) if channels is None else channels
+        known = experiment.channels
+        wanted = tuple(known) if channels is None else channels
         channels = tuple(c for c in wanted if any(r.has(c) for r in records))
         prepared = [prepare(experiment, r.trial, sample_times=r.t) for r in records]
         plans = [
@@ -284,7 +291,9 @@ class TankProblem(AbstractProblem):
             for resolution in (fine, coarse)
         ]
         noise = {
-            (i, channel): channel_noise(experiment.sensors, channel, r.values[row_of(channel)])
+            (i, channel): channel_noise(
+                experiment.sensors, known[channel], r.values[r.row(channel)]
+            )
             for i, r in enumerate(records)
             for channel in channels
             if r.has(channel)
@@ -305,7 +314,8 @@ class TankProblem(AbstractProblem):
             declared={
                 channel: discrepancy
                 for channel in channels
-                if (discrepancy := declared_shares(experiment.sensors, channel)[1]) is not None
+                if (discrepancy := declared_shares(experiment.sensors, known[channel])[1])
+                is not None
             },
         )
 
@@ -424,7 +434,7 @@ class TankProblem(AbstractProblem):
         def one(job):
             plan, own, along = job
             moved = np.flatnonzero(np.any(along != 0.0, axis=1))
-            found = np.zeros((len(along), len(CHANNELS), len(plan.at)))
+            found = np.zeros((len(along), len(plan.extended.channels), len(plan.at)))
             if moved.size:
                 found[moved] = reading_tangents(plan, own, along[moved])
             return found

@@ -24,7 +24,6 @@ from calibration.inference.measured_discrepancy import discretisation_errors, ri
 from calibration.inference.problem import AbstractProblem, summed
 from calibration.inference.whiteness import FALSE_ALARM_P, whiteness_tests
 from calibration.model.extended import Parameter
-from slider_jax.channels import BUILT_IN, CHANNELS
 
 BASE_DISCREPANCY = {"C_d": 0.004, "m_a": 0.010, "k": 0.0005, "K_Q": 0.0023}
 """Relative standard deviation of fitted base parameters between two correct implementations of the
@@ -37,7 +36,6 @@ EFFECT_DISCREPANCY = 0.02
 LEAST_ERROR = 1e-6
 """A channel does not shift parameters if its discretisation error is below this fraction of its
 rms."""
-FORCES = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "force")
 FREED_TARE = 1e3
 """Tare of a force in Hausman's test, divided by the larger of white noise and declared tare."""
 HAUSMAN_LIMIT = 2.0
@@ -105,11 +103,12 @@ def hausman_check(
     `reading_derivatives` (default: computed). Source: Hausman, J. A. (1978), Econometrica 46,
     1251-1271; Birge, R. T. (1932), Phys. Rev. 40, 207-227.
     """
-    if not any(channel in FORCES for _, channel in problem.noise):
+    forces = [c for c in problem.channels if problem.all_channels[c].kind == "force"]
+    if not any(channel in forces for _, channel in problem.noise):
         return fit
     noise = {
         key: x._replace(tare=FREED_TARE * max(float(np.max(x.white)), x.tare))
-        if key[1] in FORCES
+        if key[1] in forces
         else x
         for key, x in problem.noise.items()
     }

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.stats import gamma
 
 from calibration.measurements.records import Record
-from slider_jax.channels import row_of
 
 SPREAD = 4.0
 """The variance of Ljung and Box's statistic is 2 m (1 + `SPREAD` m/n) for m lags and n readings.
@@ -96,7 +95,7 @@ def whiteness_tests(
     for (i, channel), white in residuals.items():
         if len(white) < FEWEST or not np.isfinite(white).all():
             continue
-        there, row = records[i].there(channel), row_of(channel)
+        there, row = records[i].there(channel), records[i].row(channel)
         t, raw = records[i].t[there], (records[i].values[row] - predicted[i][row])[there]
         place = sample_places(t)
         correlation, line = ljung_box(white, place), fisher_line(white, place)

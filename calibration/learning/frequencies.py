@@ -9,7 +9,6 @@ from calibration.discrepancy.localise import locate_residuals
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import tested_excess
 from calibration.inference.problem import TankProblem
-from slider_jax.channels import CHANNELS, row_of
 
 MOST_PERIODS = 20
 """Largest number of periods of a common sine in the longest trial. The spectrum of a single trial
@@ -91,10 +90,10 @@ def sine_peaks(part: TankProblem, fit: Fit, noise_floor: float) -> dict[tuple[st
     residuals = part.residuals(fit.predicted, white)
     for x in locate_residuals(part.records, fit.predicted, left, noise_floor):
         channel = x["channel"]
-        sensor = "pressure" if CHANNELS[channel].kind == "pressure" else channel
+        sensor = "pressure" if channel in part.all_channels.pressures else channel
         lines = [p for p in left[channel].patterns if p.has_line]
         significant = [SinePeak(p.line_p, p.line, p.frequency_Hz) for p in lines]
-        highest, row = x["in_worst_trial"]["peak_Hz"], row_of(channel)
+        highest, row = x["in_worst_trial"]["peak_Hz"], part.all_channels.row(channel)
         series = []
         for (i, name), r in residuals.items():
             if name == channel:

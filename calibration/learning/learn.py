@@ -44,7 +44,6 @@ from calibration.learning.pursuit import (
 from calibration.learning.states import OF_CHAMBERS, largest_states
 from calibration.model.extended import BASE, Parameter, base_values, base_vector, model_parameters
 from calibration.model.plan import TrialPlan
-from slider_jax.channels import CHANNELS
 from slider_jax.effects import Effect
 from slider_jax.effects.dictionary.details import DETAILS, FINE_PARTS, REAR_PARTS
 from slider_jax.effects.functions import Sine
@@ -200,7 +199,7 @@ def _possible_terms(problem: TankProblem, fit: Fit, settings: SelectionSettings)
     pressures: forces and motion change a pressure only slightly.
     """
     of_pressure = any(
-        CHANNELS[c].kind == "pressure" and x.all > settings.noise_floor
+        c in problem.all_channels.pressures and x.all > settings.noise_floor
         for c, x in channel_excess(problem, fit).items()
     )
     return [n for n, kind in DICTIONARY.items() if not of_pressure or "pressure" in kind.sensors]

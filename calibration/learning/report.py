@@ -26,7 +26,7 @@ from calibration.learning.curves import curve_record, learned_curves
 from calibration.learning.learn import Learning
 from calibration.reporting.html import embedded_png
 from calibration.reporting.parameters import model_tables, parameter_record
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import ChannelSet
 from slider_jax.effects.library import KNOWN_EFFECTS
 from slider_jax.errors import InputError, SolverError
 from slider_jax.io.figures import new_figure
@@ -102,9 +102,10 @@ def with_learned(record: dict[str, Any], learned: dict[str, Any] | None) -> dict
     return record | {"verdict": LEARNED, "next_experiment": learned["test"]}
 
 
-def learned_parts(record: dict[str, Any]) -> dict[str, Any]:
+def learned_parts(record: dict[str, Any], channels: ChannelSet) -> dict[str, Any]:
     """Returns the picture and the table of errors for the report page."""
-    return {"png": embedded_png(learned_figure(record)), "errors": learned_errors(record)}
+    errors = learned_errors(record, channels)
+    return {"png": embedded_png(learned_figure(record)), "errors": errors}
 
 
 def excess_removed(errors: Mapping[str, float]) -> float | None:
@@ -230,11 +231,11 @@ def learned_lines(record: dict[str, Any]) -> list[str]:
     ]
 
 
-def learned_errors(record: dict[str, Any]) -> list[list[str]]:
+def learned_errors(record: dict[str, Any], channels: ChannelSet) -> list[list[str]]:
     """Returns a row for each channel with the errors without and with the function."""
     rows = []
     for channel, x in record["errors"].items():
-        factor, unit = CHANNELS[channel].plot_factor, CHANNELS[channel].plot_unit
+        factor, unit = channels[channel].plot_factor, channels[channel].plot_unit
         sizes = [f"{factor * x[key]:.3g}" for key in ("before", "after", "floor")]
         removed = x["excess_removed"]
         share = "" if removed is None else f"{100.0 * removed:.0f} %"

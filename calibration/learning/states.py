@@ -12,11 +12,10 @@ from calibration.inference.problem import TankProblem
 from calibration.model.plan import BLOCK, TrialPlan
 from slider_jax.actuation import rear_of
 from slider_jax.beam.equations import Section
-from slider_jax.channels import BUILT_IN, row_of
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.pressures import chamber_history, set_pressures, start_chambers
 from slider_jax.dynamics.step import Snapshot, at_rest
-from slider_jax.effects import Chamber, Readings
+from slider_jax.effects import Chamber
 from slider_jax.effects.dictionary.flow import FlowOfLaggedDifference
 from slider_jax.effects.functions import RigDrift, Sine
 from slider_jax.effects.library import DICTIONARY
@@ -52,8 +51,9 @@ def visited_states(
     chamber = Chamber(
         p, p_set, jnp.ones(()), rear_of(p.shape[-1]), jnp.sign(p), jnp.zeros((0, *p.shape))
     )
-    rows = [jnp.asarray(readings[row_of(name)]) for name in BUILT_IN]
-    read, found = Readings(jnp.asarray(plan.at), *rows), {}
+    channels, found = plan.extended.channels, {}
+    true = dict(zip(channels, jnp.asarray(readings), strict=True))
+    read = channels.readings(jnp.asarray(plan.at), true)
     local = any(x.place() not in (*OF_CHAMBERS, *OF_READINGS) for x in terms.values())
     sections = _visited_sections(plan, model) if local else []
     for name, term in terms.items():

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import ChannelSet
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, read_measured
 from slider_jax.experiment.schema import Trial
@@ -21,11 +21,21 @@ class Record:
     t: np.ndarray
     """Sample times (n,) [s]."""
     values: np.ndarray
-    """Readings (channels, n) in SI units, in the order of `CHANNELS`. A missing reading is NaN."""
+    """Readings (channels, n) in SI units, in the order of `channels`. A missing reading is NaN."""
+    channels: ChannelSet
+
+    def row(self, channel: str) -> int:
+        """Returns the row of `channel` in arrays of readings."""
+        return self.channels.row(channel)
+
+    @property
+    def pressures(self) -> np.ndarray:
+        """Readings (chambers, n) of the pressures [Pa]."""
+        return self.values[self.channels.rows(self.channels.pressures)]
 
     def there(self, channel: str) -> np.ndarray:
         """Returns a mask (n,) of the samples at which `channel` has a reading."""
-        return np.isfinite(self.values[row_of(channel)])
+        return np.isfinite(self.values[self.row(channel)])
 
     def has(self, channel: str) -> bool:
         """Returns whether `channel` has at least 20 readings, the minimum for a comparison."""
@@ -34,15 +44,15 @@ class Record:
 
 def load_records(experiment: Experiment) -> list[Record]:
     """Returns all trials with a file. Raises `InputError` if no file exists or one is damaged."""
-    found = []
+    found, channels = [], experiment.channels
     for trial in experiment.trials:
         columns = read_measured(experiment, trial)
         if columns is None:
             continue
         n = len(columns["t_s"])
         missing = np.full(n, np.nan)
-        values = np.stack([columns.get(c.column, missing) for c in CHANNELS.values()])
-        found.append(Record(trial, columns["t_s"], values))
+        values = np.stack([columns.get(c.column, missing) for c in channels.values()])
+        found.append(Record(trial, columns["t_s"], values, channels))
     if not found:
         raise InputError(
             f"{experiment.folder}: no file of the {len(experiment.trials)} trials "

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.actuation import FirstOrderLag
-from slider_jax.channels import CHANNELS, Channel
+from slider_jax.channels import ChannelSet
 from slider_jax.dynamics.model import Model
 from slider_jax.effects import (
     ActingPressure,
@@ -109,9 +109,7 @@ class ExtendedModel(eqx.Module):
     conditions: dict[str, Array]
     """Values of the trial, such as the tow speed. Each key is the name of a field of an effect."""
     effects: tuple[str, ...] = eqx.field(static=True)
-    channels: tuple[Channel, ...] = eqx.field(
-        static=True, default_factory=lambda: tuple(CHANNELS.values())
-    )
+    channels: ChannelSet = eqx.field(static=True)
 
     def at(self, theta: Float[Array, " parameters"]) -> Model:
         """Returns the model with the parameters of the vector `theta`, in SI units."""

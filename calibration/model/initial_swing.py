@@ -19,7 +19,6 @@ from calibration.model.extended import Part, acting_part
 from calibration.model.plan import TrialPlan
 from calibration.model.tangents import initial_state_tangents
 from slider_jax.beam.parameters import Numerics
-from slider_jax.channels import CHANNELS, row_of
 from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.step import at_rest, with_motion
 from slider_jax.effects import ReactiveForce
@@ -89,8 +88,8 @@ def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
     """
     body = acting_part(p.extended, Part.BODY, theta)
     d_carry, frequency = _along(body.model, p.numerics)
-    initial = np.zeros((DIRECTIONS, len(CHANNELS)))
-    initial[0, row_of("tip")] = 1.0
+    initial = np.zeros((DIRECTIONS, len(p.extended.channels)))
+    initial[0, p.extended.channels.row("tip")] = 1.0
     changes = initial_state_tangents(p, theta, d_carry, initial)[:2]
     scale = np.array([size, size * float(frequency)])
     return np.nan_to_num(changes * scale[:, None, None], posinf=0.0, neginf=0.0)

@@ -8,7 +8,7 @@ import numpy as np
 from calibration.model.extended import ExtendedModel
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import ChannelSet
 from slider_jax.dynamics.time_schemes import SCHEMES, SDIRK2, Scheme
 from slider_jax.experiment.load import Experiment, trial_conditions
 from slider_jax.experiment.playback import LONGEST_STEP
@@ -144,15 +144,24 @@ def sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray) -> np.ndarray
     """Returns readings (channels, samples) at the trial's sample times.
 
     `body` (channels, steps) are readings at the ends of steps; they are interpolated. `pressures`
-    (channels, n) are readings of the pressures at the times of `sample_grid`.
+    (channels, n) are readings at the times of `sample_grid`; only the pressures are used.
     """
     t = sample_grid(p)
     # t[0] is set to 0, so only the first interval may differ from the other intervals.
     index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
     index = np.clip(index, 0, len(t) - 1)
-    return np.concatenate([pressures[:2, index], at_samples(p, body[2:])])
+    channels, found = p.extended.channels, np.empty((len(body), len(p.at)))
+    rows = channels.rows(channels.pressures)
+    others = np.setdiff1d(np.arange(len(channels)), rows)
+    found[rows], found[others] = pressures[rows][:, index], at_samples(p, body[others])
+    return found
 
 
-def with_pressures(p: np.ndarray) -> np.ndarray:
-    """Returns readings (..., channels) with the pressures `p` (..., 2); other channels are zero."""
-    return np.pad(p, [(0, 0)] * (p.ndim - 1) + [(0, len(CHANNELS) - 2)])
+def with_pressures(channels: ChannelSet, p: np.ndarray) -> np.ndarray:
+    """Returns readings (..., channels) with the pressures `p` (..., chambers).
+
+    The other channels are zero.
+    """
+    readings = np.zeros((*p.shape[:-1], len(channels)))
+    readings[..., channels.rows(channels.pressures)] = p
+    return readings

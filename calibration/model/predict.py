@@ -26,7 +26,7 @@ from calibration.model.plan import (
     with_pressures,
 )
 from slider_jax.beam.parameters import Numerics
-from slider_jax.channels import recorded, recorded_series
+from slider_jax.channels import recorded
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.pressures import Chambers, chamber_history, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, rollout
@@ -50,11 +50,11 @@ class PressureHistory(NamedTuple):
     """The pressures of a simulated trial."""
 
     p: np.ndarray
-    """Pressures (n, 2) [Pa] at the start and at all stages of the time steps."""
+    """Pressures (n, chambers) [Pa] at the start and at all stages of the time steps."""
     acting: np.ndarray
-    """Pressures (n, 2) [Pa] that bend the robot, at the same times."""
+    """Pressures (n, chambers) [Pa] that bend the robot, at the same times."""
     sampled: np.ndarray
-    """Pressures (n, 2) [Pa] at the times of `sample_grid`."""
+    """Pressures (n, chambers) [Pa] at the times of `sample_grid`."""
 
     def block(self, done: int, stages: int) -> Chambers:
         """Returns the chambers at the `stages` of the block that begins after `done` steps.
@@ -81,7 +81,7 @@ def advance_block(
     """
 
     def save(x: Snapshot):
-        return jnp.stack([channel.observe(x) for channel in extended.channels])
+        return jnp.stack([*extended.channels.observe(x).values()])
 
     times = TimeGrid(h, BLOCK, t0)
     out = rollout(
@@ -109,19 +109,18 @@ def advance_chambers(extended: ExtendedModel, theta, begin: Chambers, times) -> 
 
 def read_series(extended: ExtendedModel, theta, t, series):
     """Returns real sensors' readings (channels, n) from ideal readings `series` (n, channels)."""
-    names = [channel.name for channel in extended.channels]
-    true = dict(zip(names, series.T, strict=True))
-    read = recorded_series(extended.at(theta).effects, t, true)
-    return jnp.stack([read[name] for name in names])
+    channels = extended.channels
+    true = dict(zip(channels, series.T, strict=True))
+    read = channels.recorded(extended.at(theta).effects, t, true)
+    return jnp.stack([read[name] for name in channels])
 
 
 def recorded_pressures(model: Model, t):
-    """Returns the readings p_front and p_rear (2, n) [Pa] at evenly spaced times `t` (n,) [s]."""
+    """Returns the readings (chambers, n) [Pa] of the pressures at evenly spaced times `t` [s]."""
     begin = start_chambers(model)
-    front, rear = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
+    p = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
     zero = jnp.zeros_like(t)
-    read = recorded(model.effects, Readings(t, front, rear, zero, zero, zero))
-    return jnp.stack([read.p_front, read.p_rear])
+    return recorded(model.effects, Readings(t, p, zero, zero, zero)).pressures
 
 
 _begin = compiled_batch(begin_at_rest)
@@ -249,7 +248,8 @@ def _simulate_bodies(jobs: Sequence[_BodyJob]) -> list[BodySeries]:
 
     begin = _begin((first.numerics,), extended, theta)
     parts, carry = run_chunks(advance, begin, last, BLOCK)
-    start = with_pressures(np.stack([x.history.p[:1] for x in jobs]))
+    channels = first.extended.channels
+    start = with_pressures(channels, np.stack([x.history.p[:1] for x in jobs]))
     series = np.concatenate([start, *parts], axis=1)
     failed_at = np.asarray(carry.failed_at)
     return [BodySeries(series[i], float(failed_at[i])) for i in range(len(jobs))]
@@ -266,7 +266,7 @@ def _sensor_readings(
     for (p, theta), history, body in zip(pairs, histories, bodies, strict=True):
         part = part_of(p.extended, Part.SENSORS, theta)
         jobs.append((part, p.grid.h * np.arange(len(body.series)), body.series))
-        jobs.append((part, sample_grid(p), with_pressures(history.sampled)))
+        jobs.append((part, sample_grid(p), with_pressures(p.extended.channels, history.sampled)))
     read, readings = iter(_recorded_each(jobs)), []
     for (p, _), body in zip(pairs, bodies, strict=True):
         series = np.array(next(read))

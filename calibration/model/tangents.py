@@ -164,7 +164,7 @@ def _ideal_tangents(
     """
     h, times, block = np.asarray(p.grid.h), stage_times(p), BLOCK * p.scheme.stages
     d_body = d_theta[:, body.entries]
-    start = with_pressures(np.asarray(state[0].chambers.p)[None])
+    start = with_pressures(p.extended.channels, np.asarray(state[0].chambers.p)[None])
     count = 1 + -(-p.grid.steps // BLOCK) * BLOCK
     series = np.zeros((count, start.shape[-1]))
     d_series = np.zeros((len(d_theta), *series.shape))

@@ -23,7 +23,6 @@ from calibration.model.predict import recorded_pressures
 from calibration.pressure_logs.read import ManifoldLog
 from slider_jax.actuation import Recorded
 from slider_jax.beam.parameters import SLIDER
-from slider_jax.channels import CHANNELS, row_of
 from slider_jax.dynamics.model import Drive
 from slider_jax.effects import Command, Flow, Instrument
 from slider_jax.effects.library import LIBRARY
@@ -91,13 +90,14 @@ def log_records(log: ManifoldLog) -> list[Record]:
     Cross-validation then leaves out half of a log. A whole log may be the only one that determines
     a parameter, for example a natural frequency near the log's frequency.
     """
-    trial, found = log_experiment(log, None, {}).trials[0], []
+    experiment, found = log_experiment(log, None, {}), []
+    trial, channels = experiment.trials[0], experiment.channels
     halves = np.array_split(np.arange(len(log.t)), 2)
     for name, part in zip(("first", "second"), halves, strict=True):
-        values = np.full((len(CHANNELS), len(part)), np.nan)
-        values[row_of(CHANNEL)] = log.pressure_Pa[part]
+        values = np.full((len(channels), len(part)), np.nan)
+        values[channels.row(CHANNEL)] = log.pressure_Pa[part]
         named = trial.model_copy(update={"file": f"{log.path.name}, {name} half"})
-        found.append(Record(named, log.t[part], values))
+        found.append(Record(named, log.t[part], values, channels))
     return found
 
 
@@ -129,9 +129,8 @@ class PressureLogProblem(AbstractProblem):
     def of_logs(cls, logs: Sequence[ManifoldLog], names: Sequence[str]) -> "PressureLogProblem":
         """Returns the problem of fitting `logs` with the base model and the effects `names`."""
         records = [record for log in logs for record in log_records(log)]
-        row = row_of(CHANNEL)
         noise = {
-            (i, CHANNEL): channel_noise(SENSORS, CHANNEL, r.values[row])
+            (i, CHANNEL): channel_noise(SENSORS, r.channels[CHANNEL], r.values[r.row(CHANNEL)])
             for i, r in enumerate(records)
         }
         long = [_samples(log) > LONG_SHARE * max(map(_samples, logs)) for log in logs]
@@ -180,7 +179,7 @@ class PressureLogProblem(AbstractProblem):
             for place, i in enumerate(group):
                 for half in (2 * i, 2 * i + 1):
                     at = np.round(self.records[half].t / self.logs[i].period).astype(int)
-                    found[half][:, row_of(CHANNEL)] = series[:, place, at]
+                    found[half][:, self.all_channels.row(CHANNEL)] = series[:, place, at]
 
         on_all_cores(one, self.drives)
         return found

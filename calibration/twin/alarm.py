@@ -19,7 +19,7 @@ import numpy as np
 
 from calibration.inference.noise import channel_noise, signal_shares
 from calibration.twin.block import FAULT_HYPOTHESES
-from slider_jax.channels import BUILT_IN
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.schema import SensorsTable
 
 REFERENCE, THRESHOLD = 2.0, 6.0
@@ -58,7 +58,7 @@ def run_length(reference: float, threshold: float, shift: float = 0.0) -> float:
 
 
 class Window(NamedTuple):
-    """The data of some consecutive blocks, with the channels `BUILT_IN`."""
+    """The data of some consecutive blocks, with the channels `SLIDER_CHANNELS`."""
 
     residual: np.ndarray
     """Measured minus predicted readings (channels, n). A residual that is not tested is NaN."""
@@ -94,7 +94,7 @@ def channel_misfits(windows: list[Window]) -> dict[str, tuple[float, float]]:
     squares = np.array([w.mean_square for w in windows])
     sizes = np.array([w.size**2 for w in windows])
     found = {}
-    for i, channel in enumerate(BUILT_IN):
+    for i, channel in enumerate(SLIDER_CHANNELS):
         if np.isfinite(squares[:, i]).any():
             rms = math.sqrt(np.nanmean(squares[:, i]))
             share = rms / max(math.sqrt(sizes[:, i].mean()), 1e-300)
@@ -125,11 +125,12 @@ class Bands:
         values = np.concatenate([w.measured for w in windows], axis=1)
         size = np.sqrt(np.mean([w.size**2 for w in windows], axis=0))
         noise = MIN_NOISE * np.maximum(size, 1e-12)
-        for i, channel in enumerate(BUILT_IN):
+        for i, channel in enumerate(SLIDER_CHANNELS):
             if np.isfinite(values[i]).sum() >= MIN_SAMPLES:
-                sensor = channel_noise(sensors, channel, values[i])
+                sensor = channel_noise(sensors, SLIDER_CHANNELS[channel], values[i])
                 noise[i] = max(noise[i], math.hypot(sensor.white, sensor.slow))
-        share = np.array([math.hypot(*signal_shares(sensors, c)) for c in BUILT_IN])
+        shares = [signal_shares(sensors, x) for x in SLIDER_CHANNELS.values()]
+        share = np.array([math.hypot(*x) for x in shares])
         return cls(noise, share, size)
 
     @classmethod
@@ -211,7 +212,7 @@ class SequentialTest:
         if not on.any():
             self.alarm = NO_ALARM
             return
-        channels = tuple(c for c, x in zip(BUILT_IN, on, strict=True) if x)
+        channels = tuple(c for c, x in zip(SLIDER_CHANNELS, on, strict=True) if x)
         # After the cause has ended, new windows contain no evidence for the cause.
         active = bool(np.any(deviation > REFERENCE)) or not before.on
         self.alarm = Alarm(True, channels, self._hint(on) if active else before.hint)
@@ -234,7 +235,7 @@ class SequentialTest:
     def _hint(self, on: np.ndarray) -> str:
         if on[:2].any():
             return "; ".join(self._chamber(int(i)) for i in np.flatnonzero(on[:2]))
-        channels = ", ".join(c for c, x in zip(BUILT_IN, on, strict=True) if x)
+        channels = ", ".join(c for c, x in zip(SLIDER_CHANNELS, on, strict=True) if x)
         # The stiffness and the length of a tail may change, so they are fitted together.
         tail, K_Q = self._explained([1, 2]), self._explained([0])
         if max(K_Q, tail) < MIN_EXPLAINED:

@@ -17,13 +17,14 @@ from jaxtyping import Array, Float
 from slider_jax import observables as obs
 from slider_jax.actuation import FirstOrderLag, Held, Ideal, Recorded
 from slider_jax.beam.parameters import Numerics, Scalar
-from slider_jax.channels import BUILT_IN, recorded
+from slider_jax.channels import SLIDER_CHANNELS, recorded
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.pressures import advance, set_pressures, start_flow
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 from slider_jax.effects import Command, Flow, Instrument, Readings, of_place
+from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model
 from slider_jax.experiment.schema import Trial
 
@@ -106,7 +107,7 @@ class BlockPrediction(NamedTuple):
     """The model's values at the samples of a block."""
 
     channels: Float[Array, "5 samples"]
-    """Predicted readings, in the order of `BUILT_IN`."""
+    """Predicted readings, in the order of `SLIDER_CHANNELS`."""
     derivatives: Float[Array, "values 5 samples"]
     """Derivatives of the readings with respect to `PARAMETERS`."""
     faulty: Float[Array, "faults 2 samples"]
@@ -128,6 +129,13 @@ def live_model(experiment: Experiment, trial: Trial) -> Model:
     """Returns a trial's model with the experiment's k and zero drive. Each block sets the drive."""
     wave = Recorded(jnp.zeros(2), jnp.zeros(2))
     model = to_model(experiment, trial)
+    if len(model.drive.waves) != len(SLIDER_CHANNELS.pressures):
+        raise InputError.value(
+            "robot",
+            f"{len(model.drive.waves)} chambers",
+            "the two chambers of the rig's manifold",
+            "the live stream has two pressures",
+        )
     return replace(
         model,
         pressure_law=FirstOrderLag(jnp.asarray(experiment.parameters.k)),
@@ -153,8 +161,8 @@ def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -
         d_body=jax.tree.map(lambda x: jnp.zeros((count - 1, *x.shape)), moving),
         last=jnp.zeros(3),
         d_last=jnp.zeros((count - 1, 3)),
-        past=jnp.zeros((past, len(BUILT_IN))),
-        d_past=jnp.zeros((count, past, len(BUILT_IN))),
+        past=jnp.zeros((past, len(SLIDER_CHANNELS))),
+        d_past=jnp.zeros((count, past, len(SLIDER_CHANNELS))),
     )
 
 
@@ -321,7 +329,9 @@ def _instruments(layout: BlockLayout, model: Model, state: BlockState, at, true,
     t = at[-1] + layout.period * jnp.arange(1.0 - len(series), 1.0)
 
     def read(series):
-        return jnp.stack(recorded(model.effects, Readings(t, *series.T))[1:], axis=1)[past:]
+        true = Readings(t, series.T[:2], *series.T[2:])
+        _, pressures, *of_body = recorded(model.effects, true)
+        return jnp.concatenate([pressures, jnp.stack(of_body)]).T[past:]
 
     d_read = jax.vmap(lambda d: jax.jvp(read, (series,), (d,))[1])(d_series)
     kept = replace(state, past=series[len(true) :], d_past=d_series[:, len(true) :])

@@ -21,7 +21,7 @@ class Samples(NamedTuple):
     """Set pressures (2, n) [Pa] of the front and rear chambers, each averaged from the previous
     reading to this reading, because set pressures also change between two readings."""
     measured: np.ndarray
-    """Readings (channels, n) in Pa, Pa, N, N, m, in the order of `slider_jax.channels.BUILT_IN`."""
+    """Readings (channels, n) of `slider_jax.channels.SLIDER_CHANNELS`, in Pa, Pa, N, N, m."""
 
     def checked(self) -> "Samples":
         """Returns the samples as float arrays. Raises `InputError` for a wrong shape."""

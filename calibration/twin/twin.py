@@ -36,7 +36,7 @@ from calibration.twin.estimate import (
 from calibration.twin.stream import GapFiller, Samples, UniformBlock
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
-from slider_jax.channels import BUILT_IN
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.effects import Command, of_place
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
@@ -96,7 +96,7 @@ class TwinBlock(NamedTuple):
     t: np.ndarray
     """Times (samples,) [s] on the device's clock."""
     model: np.ndarray
-    """Predicted readings (channels, samples) in the order of `BUILT_IN`."""
+    """Predicted readings (channels, samples) in the order of `SLIDER_CHANNELS`."""
     measured: np.ndarray
     """Measured readings (channels, samples). A missing reading is NaN."""
     lost: np.ndarray
@@ -177,8 +177,8 @@ class Twin:
         """Channels with too large residuals while the bands were learned: rms of the residual in SI
         units, and rms divided by S. The learned bands include them, so they cause no alarm."""
         self._means = 0
-        self._tare = np.zeros(len(BUILT_IN))
-        self._d_tare = np.zeros((len(PARAMETERS), len(BUILT_IN)))
+        self._tare = np.zeros(len(SLIDER_CHANNELS))
+        self._d_tare = np.zeros((len(PARAMETERS), len(SLIDER_CHANNELS)))
         self._test: SequentialTest | None = None
 
     def _recursive(self, name: str, value: float, memory: float) -> RecursiveEstimator:
@@ -268,7 +268,7 @@ class Twin:
         sensors, test = self.experiment.sensors, self._test
         bands = test.bands if test else Bands.declared(sensors, [*self._windows, window])
         driven = bool(np.any(window.size[:2] > MIN_EXCITATION * bands.noise[:2]))
-        inside = test.inside(window) if test else np.ones(len(BUILT_IN), bool)
+        inside = test.inside(window) if test else np.ones(len(SLIDER_CHANNELS), bool)
         variance = bands.variance(window)
         if driven and inside[:2].all():
             self._k.update(*lag_gradient(window, variance))
@@ -299,7 +299,9 @@ class Twin:
         mean = np.sum(share * np.where(finite, window.residual, 0.0), axis=1)
         d_mean = np.sum(share * window.derivatives, axis=2)
         self._means += 1
-        gain = np.full(len(BUILT_IN), max(self.settings.window / TARE_TIME, 1.0 / self._means))
+        gain = np.full(
+            len(SLIDER_CHANNELS), max(self.settings.window / TARE_TIME, 1.0 / self._means)
+        )
         gain[:2] = 0.0 if self._test else 1.0 / self._means
         gain *= window.sufficient
         self._tare = tare + gain * (mean - tare)

@@ -10,7 +10,7 @@ from pydantic.fields import FieldInfo
 
 from calibration.bench.tables import StaticsTable
 from rig.cli.settings import RigTable
-from slider_jax.channels import CHANNELS, TIME
+from slider_jax.channels import SLIDER_CHANNELS, TIME
 from slider_jax.experiment.schema import ExperimentTable
 from slider_jax.io.toml import quantity_of, tables_in
 
@@ -135,7 +135,7 @@ def _csv() -> list[str]:
         "|---|---|---|",
         f"| `{TIME}` | s | time since the start of the drive; the robot starts from rest |",
     ]
-    lines += [f"| `{x.column}` | {x.unit} | {x.label} |" for x in CHANNELS.values()]
+    lines += [f"| `{x.column}` | {x.unit} | {x.label} |" for x in SLIDER_CHANNELS.values()]
     return [
         *lines,
         "",

@@ -25,7 +25,7 @@ from rig.cli.shared import (
 from rig.recording.table import format_value
 from rig.scheduling import raise_priority
 from rig.trial.live_stream import CHANNELS_OUT, LiveReadings
-from slider_jax.channels import BUILT_IN
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
@@ -159,7 +159,7 @@ class WatchLog:
             print(f"\n{self._misfit_text()}", file=sys.stderr, flush=True)
 
     def _misfit_text(self) -> str:
-        names = dict(zip(BUILT_IN, CHANNELS_OUT, strict=True))
+        names = dict(zip(SLIDER_CHANNELS, CHANNELS_OUT, strict=True))
         found = ", ".join(
             f"{name} {format_value(names[name], rms)}, {100.0 * share:.0f} % of the modelled rms"
             for name, (rms, share) in self.misfits.items()

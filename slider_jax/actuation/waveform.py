@@ -6,6 +6,7 @@ The commands of other actuators are waveforms too, in the units of these actuato
 import math
 from abc import abstractmethod
 from collections.abc import Callable
+from typing import TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,6 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.beam.parameters import Scalar
+
+Wave = TypeVar("Wave")
 
 
 def rear_of(chambers: int) -> np.ndarray:
@@ -24,12 +27,12 @@ def rear_of(chambers: int) -> np.ndarray:
 
 
 def waves_along(
-    wave: Callable[[Scalar, Scalar], "Waveform"],
+    wave: Callable[[Scalar, Scalar], Wave],
     chambers: int,
     first: Scalar,
     last: Scalar,
     phase: Scalar,
-) -> tuple["Waveform", ...]:
+) -> tuple[Wave, ...]:
     """Returns `wave(amplitude, phase)` for each chamber.
 
     From the first chamber to the last, the amplitude [Pa] changes linearly from `first` to `last`,

@@ -11,7 +11,7 @@ from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record, load_records
 from calibration.model.plan import Resolution, plan_trial
 from calibration.model.predict import predict_readings
-from slider_jax.channels import BUILT_IN, CHANNELS, channel_columns, register, row_of
+from slider_jax.channels import REGISTERED, SLIDER_CHANNELS, register
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from slider_jax.io.csv import read_csv
@@ -45,14 +45,14 @@ def marked(tmp_path_factory):
     spec = importlib.util.spec_from_file_location("mid_body", folder / "mid_body.py")
     spec.loader.exec_module(importlib.util.module_from_spec(spec))
     yield folder, path, plain
-    del CHANNELS["marker"]
+    REGISTERED.pop()
 
 
 def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
     folder, path, plain = marked
     experiment = load(path)
     run = simulate_trial(experiment)
-    assert channel_columns()[-1] == "marker_m" and "marker_m" not in plain.columns
+    assert experiment.channels.columns[-1] == "marker_m" and "marker_m" not in plain.columns
     for name in plain.columns:  # the other channels do not change
         np.testing.assert_allclose(run.columns[name], plain.columns[name], rtol=1e-9, atol=1e-12)
     ratio = np.ptp(run.columns["marker_m"]) / np.ptp(run.columns["tip_m"])
@@ -71,7 +71,9 @@ def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
     assert errors["tip_m"] < 1e-12
 
     found = load_records(experiment)
-    noise = channel_noise(experiment.sensors, "marker", found[0].values[row_of("marker")])
+    noise = channel_noise(
+        experiment.sensors, experiment.channels["marker"], found[0].values[found[0].row("marker")]
+    )
     assert 0.0 < noise.white and noise.tare == 0.0
     resolution = Resolution(11, 60, 4e-3)
     theta = np.array([3.0, 1.0, 0.087, 4.79e-7])
@@ -79,11 +81,11 @@ def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
         plan_trial(experiment, found[0].trial, (), resolution, found[0].t), theta
     )
     assert predicted.shape == (6, len(found[0].t))
-    off = predicted[row_of("marker")] - run.columns["marker_m"]
+    off = predicted[found[0].row("marker")] - run.columns["marker_m"]
     assert np.abs(off).max() < 0.1 * np.ptp(run.columns["marker_m"])
 
     problem = TankProblem.of(experiment, found, (), fine=resolution, coarse=resolution)
-    assert problem.channels == (*BUILT_IN, "marker")
+    assert problem.channels == (*SLIDER_CHANNELS, "marker")
     residuals = problem.residuals([predicted], problem.whiteners([predicted]))
     assert np.isfinite(residuals[0, "marker"]).all() and residuals[0, "marker"].any()
 
@@ -95,7 +97,7 @@ def test_a_repair_of_swapped_columns_keeps_the_channel(marked):
         columns = run.columns.copy()
         t = columns.pop("t_s")
         columns["p_front_Pa"], columns["thrust_N"] = columns["thrust_N"], columns["p_front_Pa"]
-        records.append(Record(trial, t, np.stack([columns[c] for c in channel_columns()[1:]])))
+        records.append(Record(trial, t, np.stack(list(columns.values())), experiment.channels))
     repaired, findings = check_pressures(records, None)
     assert {(x.kind, x.channel) for x in findings} == {("swapped_columns", "p_front_Pa, thrust_N")}
     for r, before in zip(repaired, records, strict=True):
@@ -114,6 +116,8 @@ def test_the_command_writes_the_column(marked, tmp_path):
 def test_a_name_or_a_column_is_registered_once(change):
     from dataclasses import replace
 
-    with pytest.raises(InputError, match="already registered; registered channels: p_front"):
-        register(replace(CHANNELS["tip"], **change))
-    assert tuple(CHANNELS)[:5] == BUILT_IN
+    with pytest.raises(
+        InputError, match="another channel has this name or column; other channels: p_front"
+    ):
+        register(replace(SLIDER_CHANNELS["tip"], **change))
+    assert not {"tip", "head"} & {x.name for x in REGISTERED}

@@ -10,7 +10,7 @@ from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.measurements.synthetic import ROBOT, START
 from calibration.model.plan import Resolution
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.load import assemble
 from slider_jax.experiment.prepare import prepare
 
@@ -93,10 +93,10 @@ def measured(experiment, thetas, seed):
     for trial, theta in zip(experiment.trials, thetas, strict=True):
         t = prepare(experiment, trial).sample_times
         values = np.array(readings(trial, t, theta))
-        for row, name in enumerate(CHANNELS):
-            values[row] *= 1.0 + CHANNELS[name].gain * rng.normal()
+        for row, name in enumerate(SLIDER_CHANNELS):
+            values[row] *= 1.0 + SLIDER_CHANNELS[name].gain * rng.normal()
             values[row] += NOISE[name] * rng.normal(size=len(t))
-        found.append(Record(trial, t, values))
+        found.append(Record(trial, t, values, experiment.channels))
     return found
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.audit.audit import audit_measurements
 from calibration.measurements.synthetic import ROBOT, START, slow_noise
-from slider_jax.channels import channel_columns
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment import load as experiment
 from slider_jax.io.files import write_csv, write_text
 
@@ -96,7 +96,7 @@ def write_experiment(folder: Path, seed: int = 0, runs=RUNS, **physics) -> Path:
 def save(path: Path, t, values) -> None:
     """Writes a trial's file."""
     formats = {"t_s": ".6g", "p_front_Pa": ".9g", "p_rear_Pa": ".9g"}
-    write_csv(path, dict(zip(channel_columns(), [t, *values], strict=True)), formats)
+    write_csv(path, dict(zip(SLIDER_CHANNELS.columns, [t, *values], strict=True)), formats)
 
 
 def read(path: Path):

@@ -9,12 +9,13 @@ from slider_jax.actuation import FirstOrderLag, SineWave, SquareWave
 from slider_jax.beam.equations import Reference
 from slider_jax.beam.parameters import Numerics, grid_of, uniform_robot
 from slider_jax.beam.state import node_positions
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.dynamics.model import Drive, Model, make_mesh
 from slider_jax.dynamics.residual import Stage, residual
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2
-from slider_jax.effects import NormalDrag, ReactiveForce
+from slider_jax.effects import NormalDrag, ReactiveForce, Readings
 from slider_jax.supports import Clamped
 
 SMALL = Numerics(tail_cells=4, body_cells=12)
@@ -150,3 +151,14 @@ def march(model, h, steps, save=observe, numerics=SMALL, scheme=SDIRK2, chunk=40
         kept.append(out.saved)
     assert bool(carry.ok), f"step failed at {float(carry.failed_at)} s"
     return np.concatenate(times), jax.tree.map(lambda *x: np.concatenate(x), *kept)
+
+
+def slider_readings(t, *series):
+    """Readings of SLIDER: `series` are front and rear pressure, thrust, recoil and tip (n,)."""
+    return Readings(t, jnp.stack(series[:2]), *series[2:])
+
+
+def reading(x, name):
+    """The series of a channel of SLIDER, or the times "t", in the readings `x`."""
+    pressures = dict(zip(SLIDER_CHANNELS.pressures, x.pressures, strict=True))
+    return pressures[name] if name in pressures else getattr(x, name)

@@ -6,6 +6,7 @@ import numpy as np
 
 from calibration.inference.noise import Noise
 from calibration.measurements.records import Record
+from slider_jax.channels import SLIDER_CHANNELS
 
 TRIALS, SAMPLES = 4, 300
 
@@ -18,6 +19,7 @@ class Sums:
     """Readings are parameters times `shapes` (parameters, trials, samples), plus noise."""
 
     channels = ("tip",)
+    all_channels = SLIDER_CHANNELS
     maps = memo = None
     mesh_ratio, discrepancies = 1.0, {"tip": 0.005}
 
@@ -26,7 +28,9 @@ class Sums:
         noise = np.random.default_rng(seed).normal(size=(TRIALS, SAMPLES))
         self.y = self._sum(np.asarray(truth)) + noise
         t, values = 0.01 * np.arange(SAMPLES), np.zeros((5, SAMPLES))
-        self.records = [Record(SimpleNamespace(file=str(i)), t, values) for i in range(TRIALS)]
+        self.records = [
+            Record(SimpleNamespace(file=str(i)), t, values, SLIDER_CHANNELS) for i in range(TRIALS)
+        ]
         self.noise = {(i, "tip"): Noise(1.0) for i in range(TRIALS)}
 
     def _sum(self, theta):

@@ -1,11 +1,12 @@
-"""The rear pressure's lag behind the front's, from a lag's response to square waves."""
+"""The lag of the rear pressure, from a lag's response to square waves."""
 
 import numpy as np
 import pytest
 
-from calibration.audit.drive_response import rear_lag_and_ratio, wrapped
+from calibration.audit.drive_response import chamber_tones, wrapped
 from calibration.measurements.records import Record
 from slider_jax.actuation import FirstOrderLag, SquareWave
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.schema import Trial
 from tests.support.chambers import pressure_history
 
@@ -21,16 +22,17 @@ def record(seconds: float) -> Record:
         pressure_history(FirstOrderLag(0.08), wave, 0.0, t)
         for wave in (SquareWave(1.0, 1e5), SquareWave(1.0, RATIO * 1e5, PHASE))
     ]
-    return Record(trial, t, np.stack([*p, *np.full((3, len(t)), np.nan)]))
+    return Record(trial, t, np.stack([*p, *np.full((3, len(t)), np.nan)]), SLIDER_CHANNELS)
 
 
 @pytest.mark.parametrize("seconds", [1.8, 3.0, 6.5])
 def test_lag_and_ratio_equal_those_of_the_drives(seconds):
-    lag, ratio = rear_lag_and_ratio(record(seconds))
+    tones = chamber_tones(record(seconds))
+    lag, ratio = tones.lag[1] - tones.lag[0], np.exp(tones.size[0] - tones.size[1])
     print(f"{lag:.3f} of a period, {ratio:.3f}")
     assert abs(wrapped(lag - PHASE)) < 0.03
     assert ratio == pytest.approx(1.0 / RATIO, rel=0.1)
 
 
 def test_less_than_a_settled_stride_gives_neither_lag_nor_ratio():
-    assert rear_lag_and_ratio(record(1.2)) is None
+    assert chamber_tones(record(1.2)) is None

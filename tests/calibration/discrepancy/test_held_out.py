@@ -4,6 +4,7 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import choose_held_out
 from calibration.measurements.records import Record
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.schema import Trial
 
 
@@ -13,7 +14,7 @@ def records(towed, count=8):
         content = {"file": f"{i}.csv", "frequency": round(float(f), 2), "amplitude": 2e5}
         speed = 0.2 if i in towed else 0.0
         trial = Trial.model_validate(content | {"duration": 2.0, "tow_speed": speed})
-        found.append(Record(trial, np.zeros(1), np.zeros((5, 1))))
+        found.append(Record(trial, np.zeros(1), np.zeros((5, 1)), SLIDER_CHANNELS))
     return found
 
 

@@ -12,6 +12,7 @@ from calibration.discrepancy.localise import (
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.goodness import Excess
 from calibration.measurements.records import Record
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.schema import Trial
 
 T = np.arange(0.0, 2.0, 0.002)
@@ -22,7 +23,7 @@ def record(residual, frequency=1.0, amplitude=1e5):
     values = np.full((5, len(T)), np.nan)
     values[2] = MODEL + residual
     content = {"file": f"{frequency:g}.csv", "frequency": frequency, "amplitude": amplitude}
-    return Record(Trial.model_validate(content | {"duration": 2.0}), T, values)
+    return Record(Trial.model_validate(content | {"duration": 2.0}), T, values, SLIDER_CHANNELS)
 
 
 def test_the_phase_of_the_residual_is_found():

@@ -17,7 +17,7 @@ from calibration.inference.measured_discrepancy import Discrepancy
 from calibration.inference.problem import TankProblem
 from calibration.model.extended import BASE, base_values, base_vector, model_parameters
 from calibration.model.plan import Resolution
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import SLIDER_CHANNELS
 from tests.support import closed_form_tank as tank
 
 NAMES = ("carried_mass", "valve_delay")
@@ -53,13 +53,13 @@ def test_an_effect_below_the_constant_is_found_in_data_without_another_error():
     assert found.discrepancies["thrust"] < 0.005 < sizes["thrust"] < 0.02
     assert sum("measured model-discretisation discrepancy" in x for x in lines) in (1, 2)
     assert found.measured["thrust"].used <= found.discrepancies["thrust"]
-    assert found.discrepancies["p_front"] == CHANNELS["p_front"].discrepancy
+    assert found.discrepancies["p_front"] == SLIDER_CHANNELS["p_front"].discrepancy
 
 
 def test_without_a_second_mesh_the_constants_apply():
     found, _ = selection(0.02, fine=tank.MESH)
     assert not found.effects and not found.measured
-    assert found.discrepancies == {c: x.discrepancy for c, x in CHANNELS.items()}
+    assert found.discrepancies == {c: x.discrepancy for c, x in SLIDER_CHANNELS.items()}
 
 
 def test_a_declared_discrepancy_hides_a_smaller_effect():
@@ -79,7 +79,7 @@ def report(share):
     """Returns report.json and the page for data with a repeating error of the thrust."""
     experiment = tank.experiment_of(FREQUENCIES)
     records = tank.measured(experiment, [np.array([*THETA, 0.0, 0.0])] * len(FREQUENCIES), 2)
-    row, rng = row_of("thrust"), np.random.default_rng(3)
+    row, rng = SLIDER_CHANNELS.row("thrust"), np.random.default_rng(3)
     for i, r in enumerate(records):
         values, error = r.values.copy(), repeating_curve(r.t, FREQUENCIES[i], rng)
         values[row] += share * np.std(values[row]) * error

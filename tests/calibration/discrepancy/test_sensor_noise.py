@@ -9,7 +9,7 @@ from calibration.discrepancy.close_loop import close_loop_on_trials
 from calibration.discrepancy.page import loop_page
 from calibration.discrepancy.report import loop_record
 from calibration.model.extended import BASE
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.load import assemble
 from slider_jax.experiment.prepare import prepare
 from slider_jax.io.files import write_csv
@@ -33,7 +33,7 @@ def heavy(rng, n):
     return rng.standard_t(3, size=n) / np.sqrt(3.0)
 
 
-def outcome(folder, shape=normal, declared=1.0, hum=0.0, late=1.0, sensors=tuple(CHANNELS)):
+def outcome(folder, shape=normal, declared=1.0, hum=0.0, late=1.0, sensors=tuple(SLIDER_CHANNELS)):
     """Returns the loop's outcome for trials of 1 s without a missing effect, with these `sensors`.
 
     The declared noise is multiplied by `declared`. `hum` is the amplitude [N] of a sine of 13 Hz in
@@ -51,7 +51,7 @@ def outcome(folder, shape=normal, declared=1.0, hum=0.0, late=1.0, sensors=tuple
         theta = THETA * np.array([1.0, late if number >= 2 else 1.0, 1.0, 1.0])
         values = tank.readings(trial, t, theta)
         columns = {"t_s": t}
-        for x, (name, channel) in zip(values, CHANNELS.items(), strict=True):
+        for x, (name, channel) in zip(values, SLIDER_CHANNELS.items(), strict=True):
             noisy = x + tank.NOISE[name] * shape(rng, len(t))
             if name == "thrust" and number == 2:
                 noisy = noisy + hum * np.sin(2.0 * np.pi * 13.0 * t + 1.0)

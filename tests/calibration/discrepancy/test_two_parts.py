@@ -25,7 +25,7 @@ from calibration.inference.goodness import Excess
 from calibration.inference.whiteness import SeriesTest
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, base_values
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import SLIDER_CHANNELS
 from tests.support import closed_form_tank as tank
 
 NAMES = ("carried_mass", "chamber_mismatch", "body_stiffness")
@@ -222,16 +222,16 @@ def test_the_effect_with_the_largest_growth_does_not_hide_another_contradicted_e
 
 
 def test_a_change_of_readings_that_were_not_measured_does_not_count():
-    values = np.full((len(CHANNELS), 100), np.nan)
-    values[row_of("tip"), :50] = 1.0
+    values = np.full((len(SLIDER_CHANNELS), 100), np.nan)
+    values[SLIDER_CHANNELS.row("tip"), :50] = 1.0
     trial = tank.experiment_of(FREQUENCIES).trials[0]
     problem = SimpleNamespace(
-        noise={(0, "tip"): None}, records=[Record(trial, np.arange(100.0), values)]
+        noise={(0, "tip"): None}, records=[Record(trial, np.arange(100.0), values, SLIDER_CHANNELS)]
     )
-    before, after = np.ones((2, 1, len(CHANNELS), 100))
-    after[:, row_of("tip"), 50:] = 3.0
+    before, after = np.ones((2, 1, len(SLIDER_CHANNELS), 100))
+    after[:, SLIDER_CHANNELS.row("tip"), 50:] = 3.0
     assert relative_changes(problem, before, after) == {"tip": 0.0}
-    after[:, row_of("tip"), :50] = 1.5
+    after[:, SLIDER_CHANNELS.row("tip"), :50] = 1.5
     assert relative_changes(problem, before, after) == {"tip": 0.5}
 
 

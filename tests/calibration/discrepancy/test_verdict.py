@@ -10,6 +10,7 @@ from calibration.discrepancy.verdict import judge_effects, reach_verdict
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
 from calibration.model.extended import base_vector, model_parameters
+from slider_jax.channels import SLIDER_CHANNELS
 
 ENTRIES = model_parameters(("valve_delay", "tank_current"))
 BASE = {"C_d": 3.0, "m_a": 0.7, "k": 0.09, "K_Q": 4.8e-7}
@@ -45,7 +46,7 @@ def judged(
         search.entries[DELAY] = p._replace(prior=p.prior._replace(high=widened))
         search.declared[DELAY] = p.prior
     after = {c: Excess(np.full(4, 1.0), 4.0 if c in left else 1.0) for c in search.discrepancies}
-    found = judge_effects(search, theta, after)
+    found = judge_effects(search, theta, after, SLIDER_CHANNELS)
     return reach_verdict(search, found, after), {x.name: x.status for x in found}
 
 

@@ -29,7 +29,7 @@ from calibration.model.extended import BASE, candidate_effects
 from calibration.model.plan import Resolution
 from calibration.model.predict import predict_readings
 from calibration.model.tangents import reading_tangents
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.cli.main import COMMANDS, find, main
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
@@ -66,10 +66,10 @@ def measured(still, theta, seed):
         y = predict_readings(p, theta)
         for channel, noise in still.information.sensing.noise.items():
             # The covariance's Cholesky factor times white noise has the declared covariance.
-            row = row_of(channel)
+            row = SLIDER_CHANNELS.row(channel)
             white = Whitener(p.at, noise, y[row], p.trial.frequency)
             y[row] += np.linalg.solve(white(np.eye(len(p.at))).T, rng.normal(size=len(p.at)))
-        found.append(Record(trial, p.at, y))
+        found.append(Record(trial, p.at, y, SLIDER_CHANNELS))
     return found
 
 
@@ -79,7 +79,7 @@ def gain(still, effect, size, seed):
     theta, group = f.theta.copy(), effect_entries(f.entries)[effect]
     theta[group] += size
     problem = TankProblem.of(
-        f.experiment, measured(still, theta, seed), EFFECTS, CHANNELS, MESH, MESH
+        f.experiment, measured(still, theta, seed), EFFECTS, SLIDER_CHANNELS, MESH, MESH
     )
     predicted = problem.predict(f.theta)
     white = problem.whiteners(predicted)
@@ -126,14 +126,14 @@ def test_nine_of_ten_effects_are_detected_at_the_limit(still, entries):
 def test_a_nameable_effect_changes_a_channel_by_its_discrepancy(still, entries):
     """The reference is least squares on the stacked rows."""
     f, i = still.information, effect_entries(entries)["carried_mass"][0]
-    white, raw, signal = [], {c: [] for c in CHANNELS}, {c: [] for c in CHANNELS}
+    white, raw, signal = [], {c: [] for c in SLIDER_CHANNELS}, {c: [] for c in SLIDER_CHANNELS}
     for trial in f.experiment.trials:
         p = f.plan(trial)
         y, J = (
             predict_readings(p, f.theta),
             reading_tangents(p, f.theta, np.eye(len(f.theta))[[0, 1, 2, 3, i]]),
         )
-        for row, channel in enumerate(CHANNELS):
+        for row, channel in enumerate(SLIDER_CHANNELS):
             noise = f.sensing.noise[channel]
             whiten = Whitener(p.at, noise, y[row], trial.frequency)
             white.append(whiten(J[:, row]))
@@ -142,11 +142,11 @@ def test_a_nameable_effect_changes_a_channel_by_its_discrepancy(still, entries):
     rows = np.concatenate(white, axis=1).T
     absorbed = np.linalg.lstsq(rows[:, :4], -rows[:, 4], rcond=None)[0]
     shares = []
-    for channel in CHANNELS:
+    for channel in SLIDER_CHANNELS:
         change = np.append(absorbed, 1.0) @ np.concatenate(raw[channel], axis=1)
         share = np.sqrt(np.mean(change**2) / np.mean(np.concatenate(signal[channel]) ** 2))
         shares.append(
-            limit_of(still, "carried_mass").nameable * share / CHANNELS[channel].discrepancy
+            limit_of(still, "carried_mass").nameable * share / SLIDER_CHANNELS[channel].discrepancy
         )
     assert max(shares) == pytest.approx(1.0, rel=1e-5)
 

@@ -32,7 +32,7 @@ from calibration.inference.goodness import Excess
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, base_vector, model_parameters
-from slider_jax.channels import CHANNELS
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import Trial
 from tests.support.experiments import write_small_experiment
@@ -50,12 +50,19 @@ def tank(tmp_path_factory):
     theta = base_vector(ENTRIES, {n: getattr(experiment.parameters, n) for n in BASE})
     samples = [np.arange(int(t.duration * 200) + 1) / 200 for t in experiment.trials]
     empty = [
-        Record(trial, t, np.zeros((5, len(t))))
+        Record(trial, t, np.zeros((5, len(t))), experiment.channels)
         for trial, t in zip(experiment.trials, samples, strict=True)
     ]
-    plans = TankProblem.of(experiment, empty, EFFECTS, CHANNELS, MESH, MESH)
-    found = [Record(r.trial, r.t, y) for r, y in zip(empty, plans.predict(theta), strict=True)]
-    return experiment, TankProblem.of(experiment, found, EFFECTS, CHANNELS, MESH, MESH), theta
+    plans = TankProblem.of(experiment, empty, EFFECTS, SLIDER_CHANNELS, MESH, MESH)
+    found = [
+        Record(r.trial, r.t, y, r.channels)
+        for r, y in zip(empty, plans.predict(theta), strict=True)
+    ]
+    return (
+        experiment,
+        TankProblem.of(experiment, found, EFFECTS, SLIDER_CHANNELS, MESH, MESH),
+        theta,
+    )
 
 
 def fitted(tank, theta, free, weight=1.0):
@@ -72,11 +79,11 @@ def fitted(tank, theta, free, weight=1.0):
 
 def outcome(tank, verdict, final, rounds=(), after=None):
     experiment, problem, _ = tank
-    excess = after or {c: Excess(np.ones(2), 1.0) for c in CHANNELS}
+    excess = after or {c: Excess(np.ones(2), 1.0) for c in SLIDER_CHANNELS}
     effects = [r.chosen for r in rounds if r.chosen]
     limits = {"tip": 0.005}
     search = Selection(final, final, effects, list(rounds), discrepancies=limits)
-    used = {c: {"before": 0.0, "after": 0.0, "floor": 0.0} for c in CHANNELS}
+    used = {c: {"before": 0.0, "after": 0.0, "floor": 0.0} for c in SLIDER_CHANNELS}
     return LoopOutcome(
         experiment, ENTRIES, verdict, search, final, problem, used, {}, excess, [], []
     )
@@ -191,7 +198,7 @@ def test_a_measured_trial_is_predicted_at_the_times_of_its_record(tank):
     experiment, problem, theta = tank
     record = problem.records[0]
     kept = np.delete(np.arange(len(record.t)), slice(30, 50))
-    with_gap = Record(record.trial, record.t[kept], record.values[:, kept])
+    with_gap = Record(record.trial, record.t[kept], record.values[:, kept], record.channels)
     sensing = SensorModel.of(experiment, [with_gap, problem.records[1]])
     channels = TrialInformation(experiment, EFFECTS, theta, FREE, sensing, {}, MESH).trial(
         record.trial

@@ -13,14 +13,14 @@ from calibration.measurements.records import Record, load_records
 from calibration.model.extended import base_values, base_vector, model_parameters
 from calibration.model.plan import Resolution, plan_trial
 from calibration.model.predict import predict_each
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import SensorsTable, Trial
 from tests.support.data import ROOT
 
 FREQUENCIES = (0.7, 1.3, 2.1, 2.9, 3.7, 4.6)
 T = np.arange(1000) / 500.0
-NOISE = Noise(0.02, 0.01, 0.1, 0.01, 0.01, CHANNELS["thrust"].discrepancy)
+NOISE = Noise(0.02, 0.01, 0.1, 0.01, 0.01, SLIDER_CHANNELS["thrust"].discrepancy)
 CELLS = 10.0 / 3.0
 """Number of cells of the fine mesh, divided by that of the coarse mesh."""
 
@@ -44,7 +44,9 @@ class Rhythm(AbstractProblem):
 
 def thrust(values):
     """Returns readings (channels, n) of the thrust alone."""
-    return np.where(np.arange(len(CHANNELS))[:, None] == row_of("thrust"), values, np.nan)
+    return np.where(
+        np.arange(len(SLIDER_CHANNELS))[:, None] == SLIDER_CHANNELS.row("thrust"), values, np.nan
+    )
 
 
 def repeating_curve(t, f, rng):
@@ -76,7 +78,7 @@ def tank(share, seed=0, frequencies=FREQUENCIES, declared=None):
         drive = {"frequency": f, "amplitude": 1e5} if f else {}
         recorded = {} if f else {"waveform": "recorded", "drive_file": "drive.csv"}
         trial = Trial(file="a.csv", duration=2.0, **drive, **recorded)
-        records.append(Record(trial, T, thrust(values)))
+        records.append(Record(trial, T, thrust(values), SLIDER_CHANNELS))
         fine.append(thrust(y))
     problem = Rhythm(
         records=records,
@@ -126,13 +128,13 @@ def test_an_error_of_second_order_is_extrapolated_to_its_size_with_a_safety_fact
 
 def test_a_missing_effect_does_not_exceed_the_constant():
     x = measure(*tank(0.3))
-    assert x.measured == x.used == CHANNELS["thrust"].discrepancy
+    assert x.measured == x.used == SLIDER_CHANNELS["thrust"].discrepancy
 
 
 def test_a_failed_simulation_gives_the_constant():
     problem, y = tank(0.02)
     failed = DiscrepancyMeter(problem, y, y)([np.full_like(x, np.nan) for x in y])["thrust"]
-    assert failed.measured is None and failed.used == CHANNELS["thrust"].discrepancy
+    assert failed.measured is None and failed.used == SLIDER_CHANNELS["thrust"].discrepancy
 
 
 def test_a_declared_value_replaces_the_measured_value():
@@ -143,11 +145,11 @@ def test_a_declared_value_replaces_the_measured_value():
 
 def test_declared_shares_are_part_of_the_noise():
     sensors = SensorsTable(thrust_gain=0.03, thrust_discrepancy=0.02, pressure_gain=0.004)
-    noise = {c: channel_noise(sensors, c, np.sin(90.0 * T)) for c in CHANNELS}
+    noise = {c: channel_noise(sensors, x, np.sin(90.0 * T)) for c, x in SLIDER_CHANNELS.items()}
     assert (noise["thrust"].gain, noise["thrust"].discrepancy) == (0.03, 0.02)
     assert (noise["recoil"].gain, noise["recoil"].discrepancy) == (0.01, 0.012)
     assert noise["p_front"].gain == noise["p_rear"].gain == 0.004
-    assert noise["tip"].discrepancy == CHANNELS["tip"].discrepancy
+    assert noise["tip"].discrepancy == SLIDER_CHANNELS["tip"].discrepancy
 
 
 def test_only_a_clear_fall_changes_the_noise():
@@ -164,13 +166,20 @@ def test_the_lower_limit_is_1_to_2_5_times_the_error_of_coarse_meshes():
     theta = np.array([3.0, 0.7, 0.08, 4.79e-7])
     plans = [plan_trial(experiment, trial, (), x, at) for x in meshes]
     coarse, fine, finest = (predict_each([(p, theta)])[0] for p in plans)
-    noise = {(0, c): channel_noise(experiment.sensors, c, fine[row_of(c)]) for c in CHANNELS}
+    noise = {
+        (0, c): channel_noise(experiment.sensors, SLIDER_CHANNELS[c], fine[SLIDER_CHANNELS.row(c)])
+        for c in SLIDER_CHANNELS
+    }
     problem = TankProblem.of(
-        experiment, [Record(trial, at, finest)], (), fine=meshes[1], coarse=meshes[0]
+        experiment,
+        [Record(trial, at, finest, SLIDER_CHANNELS)],
+        (),
+        fine=meshes[1],
+        coarse=meshes[0],
     )
     found = DiscrepancyMeter(replace(problem, noise=noise), [fine], [coarse]).lower_limits
     for channel in ("thrust", "recoil", "tip"):
-        y, error = fine[row_of(channel)], (finest - fine)[row_of(channel)]
+        y, error = fine[SLIDER_CHANNELS.row(channel)], (finest - fine)[SLIDER_CHANNELS.row(channel)]
         columns = np.stack([np.ones_like(y), y], axis=1)
         rest = error - columns @ np.linalg.lstsq(columns, error, rcond=None)[0]
         ratio = found[channel] * np.std(y) / np.std(rest)

@@ -13,7 +13,7 @@ from calibration.inference.measured_noise import (
 )
 from calibration.inference.noise import Noise
 from calibration.measurements.records import Record
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.schema import SensorsTable, Trial
 
 SENSORS = SensorsTable(
@@ -44,16 +44,16 @@ def records(pressure=700.0, force=0.02, step=0.0, seed=0, filtered=0):
     rng, t, found = np.random.default_rng(seed), np.arange(RATE * SECONDS) / RATE, []
     for f in np.geomspace(0.6, 6.0, 8):
         trial = Trial(file="a.csv", frequency=float(f), amplitude=2.5e5, duration=SECONDS)
-        values = np.full((len(CHANNELS), len(t)), np.nan)
+        values = np.full((len(SLIDER_CHANNELS), len(t)), np.nan)
         p = square_response(t, f) + pressure * rng.normal(size=len(t))
-        values[row_of("p_front")] = step * np.round(p / step) if step else p
+        values[SLIDER_CHANNELS.row("p_front")] = step * np.round(p / step) if step else p
         recoil = 1.5 * np.sin(2.0 * np.pi * f * t) + 0.3 * np.sin(6.0 * np.pi * f * t)
         white = rng.normal(size=len(t) + 2 * filtered)
         if filtered:
             window = np.ones(2 * filtered + 1) / np.sqrt(2.0 * filtered + 1.0)
             white = np.convolve(white, window, "valid")
-        values[row_of("recoil")] = recoil + slow_noise(len(t), rng) + force * white
-        found.append(Record(trial, t, values))
+        values[SLIDER_CHANNELS.row("recoil")] = recoil + slow_noise(len(t), rng) + force * white
+        found.append(Record(trial, t, values, SLIDER_CHANNELS))
     return found
 
 
@@ -72,11 +72,11 @@ def test_the_scatter_of_few_readings_does_not_replace_the_right_noise():
         found = []
         for f, seconds in ((0.6, 1.65), (0.95, 1.05), (2.4, 0.66), (3.8, 0.66), (6.0, 0.66)):
             t = np.arange(100.0 * seconds) / 100.0
-            values = np.full((len(CHANNELS), len(t)), np.nan)
+            values = np.full((len(SLIDER_CHANNELS), len(t)), np.nan)
             signal = 0.03 * np.sin(2.0 * np.pi * f * t)
-            values[row_of("tip")] = signal + 5e-4 * rng.normal(size=len(t))
+            values[SLIDER_CHANNELS.row("tip")] = signal + 5e-4 * rng.normal(size=len(t))
             trial = Trial(file="a.csv", frequency=f, amplitude=2.5e5, duration=seconds)
-            found.append(Record(trial, t, values))
+            found.append(Record(trial, t, values, SLIDER_CHANNELS))
         replaced += measured_noises(few, found)["tip"].replaced
     # Of 300 normal variables, about one deviates by more than three standard errors.
     assert replaced <= 3
@@ -102,9 +102,9 @@ def test_the_measured_noise_contains_the_quantisation_and_is_not_below_it():
 
 def test_readings_without_noise_keep_half_of_the_discrepancy_as_noise():
     x = measured_noises(SENSORS, records(force=0.0))["recoil"]
-    size = np.std([r.values[row_of("recoil")] for r in records(force=0.0)])
+    size = np.std([r.values[SLIDER_CHANNELS.row("recoil")] for r in records(force=0.0)])
     assert x.replaced
-    assert x.used == pytest.approx(0.5 * CHANNELS["recoil"].discrepancy * size, rel=0.1)
+    assert x.used == pytest.approx(0.5 * SLIDER_CHANNELS["recoil"].discrepancy * size, rel=0.1)
 
 
 def test_a_filtered_sensor_keeps_its_declared_noise():
@@ -117,7 +117,7 @@ def test_a_channel_without_declared_noise_or_with_few_readings_is_not_replaced()
     undeclared = measured_noises(SensorsTable(), records())["p_front"]
     assert undeclared.declared is None and not undeclared.replaced
     assert undeclared.measured == pytest.approx(700.0, rel=0.1)
-    short = [Record(r.trial, r.t[:25], r.values[:, :25]) for r in records()]
+    short = [Record(r.trial, r.t[:25], r.values[:, :25], r.channels) for r in records()]
     x = measured_noises(SENSORS, short)["p_front"]
     assert (x.measured, x.method, x.replaced) == (None, NOT_MEASURED, False)
 
@@ -133,10 +133,17 @@ def test_a_coarsely_quantised_camera_keeps_at_least_its_quantisation_noise():
     camera, step = SENSORS.model_copy(update={"tip_noise": 5e-4}), 2e-3
     t, found = np.arange(2000) / 200.0, []
     for f in (0.3, 0.5, 1.0):
-        values = np.full((len(CHANNELS), len(t)), np.nan)
-        values[row_of("tip")] = step * np.round(8e-3 * np.sin(2.0 * np.pi * f * t) / step)
+        values = np.full((len(SLIDER_CHANNELS), len(t)), np.nan)
+        values[SLIDER_CHANNELS.row("tip")] = step * np.round(
+            8e-3 * np.sin(2.0 * np.pi * f * t) / step
+        )
         found.append(
-            Record(Trial(file="a.csv", frequency=f, amplitude=2e5, duration=10.0), t, values)
+            Record(
+                Trial(file="a.csv", frequency=f, amplitude=2e5, duration=10.0),
+                t,
+                values,
+                SLIDER_CHANNELS,
+            )
         )
     x = measured_noises(camera, found)["tip"]
     assert min(x.declared, step / np.sqrt(12.0)) <= x.used <= 2.0 * step

@@ -19,6 +19,7 @@ from calibration.inference.noise import (
     discrepancy_scale,
     quantisation_step,
 )
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.schema import SensorsTable
 
 T = np.arange(1000) / 500.0
@@ -188,13 +189,15 @@ def test_the_quantisation_step_is_estimated_from_the_data():
     assert quantisation_step(p) == pytest.approx(932.8, rel=1e-6)
     assert quantisation_step(rng.normal(size=3000)) == 0.0
     sensors = SensorsTable(pressure_noise=700.0)
-    found = channel_noise(sensors, "p_front", p)
+    found = channel_noise(sensors, SLIDER_CHANNELS["p_front"], p)
     assert found.white == pytest.approx(np.hypot(700.0, 932.8 / np.sqrt(12.0)))
 
 
 def test_undeclared_white_noise_is_estimated_from_the_data():
     tip = np.sin(2 * np.pi * T) + 5e-4 * np.random.default_rng(3).normal(size=len(T))
-    assert channel_noise(SensorsTable(), "tip", tip).white == pytest.approx(5e-4, rel=0.1)
+    assert channel_noise(SensorsTable(), SLIDER_CHANNELS["tip"], tip).white == pytest.approx(
+        5e-4, rel=0.1
+    )
 
 
 @pytest.mark.parametrize("frequency", [0.6, 2.0, 6.0])

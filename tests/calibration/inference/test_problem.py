@@ -12,7 +12,7 @@ from calibration.inference.problem import TankProblem, normal_equations
 from calibration.measurements.records import Record
 from calibration.model import compiled
 from calibration.model.plan import Resolution
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.load import load
 from tests.support import closed_form_tank as tank
 from tests.support.experiments import write_small_experiment
@@ -24,14 +24,14 @@ def test_a_channel_that_no_trial_measures_is_no_evidence(tmp_path):
     """Without a force sensor, a change of the predicted thrust does not count."""
     experiment = load(write_small_experiment(tmp_path))
     t = np.arange(100) / 200.0
-    readings = np.sin(20.0 * t) * np.ones((len(CHANNELS), 1))
-    readings[[row_of("thrust"), row_of("recoil")]] = np.nan
-    records = [Record(trial, t, readings) for trial in experiment.trials]
+    readings = np.sin(20.0 * t) * np.ones((len(SLIDER_CHANNELS), 1))
+    readings[[SLIDER_CHANNELS.row("thrust"), SLIDER_CHANNELS.row("recoil")]] = np.nan
+    records = [Record(trial, t, readings, experiment.channels) for trial in experiment.trials]
     measured = TankProblem.of(experiment, records, (), fine=MESH, coarse=MESH)
     before = [np.ones_like(readings) for _ in records]
     after = [x.copy() for x in before]
     for x in after:
-        x[row_of("thrust")] *= 2.0
+        x[SLIDER_CHANNELS.row("thrust")] *= 2.0
     first, second = (
         Fit(np.zeros(0), np.zeros(0, int), 0.0, 0, [], predicted, True)
         for predicted in (before, after)

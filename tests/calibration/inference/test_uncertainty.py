@@ -19,6 +19,7 @@ from calibration.inference.uncertainty import (
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter
 from calibration.reporting.parameters import parameter_record, parameter_text
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.effects import Prior
 from slider_jax.experiment.schema import Trial
 
@@ -73,7 +74,7 @@ def fitted_problem(seed: int, varying: float = 1.0, late: float = 1.0, rho: floa
         size = late if 2 * number >= TRIALS else 1.0
         own = trial.model_copy(update={"file": f"{number}.csv"})
         values = np.where(shown, size * force(1.0, varying) + noise, np.nan)
-        found.append(Record(own, T, values))
+        found.append(Record(own, T, values, SLIDER_CHANNELS))
     noise = {(i, "thrust"): Noise(0.05, tare=tare) for i in range(TRIALS)}
     problem = Drag(records=found, channels=("thrust",), noise=noise)
     fit = fit_gauss_newton(problem, ENTRIES, np.array([1.0]), np.arange(1))

@@ -11,7 +11,7 @@ from calibration.inference.whiteness import (
     whiteness_tests,
 )
 from calibration.measurements.records import Record
-from slider_jax.channels import CHANNELS, row_of
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.schema import Trial
 
 T = np.arange(1250) / 500.0
@@ -22,16 +22,16 @@ def results_of(raw, white, t=T, model=0.0):
 
     The discrepancy is 1 % of the rms of the predicted readings `model`.
     """
-    found, zero = [], np.zeros((len(CHANNELS), len(t)))
+    found, zero = [], np.zeros((len(SLIDER_CHANNELS), len(t)))
     for number, x in enumerate(raw):
         trial = Trial(file=f"{number}.csv", frequency=2.0, amplitude=1e5, duration=t[-1])
         values = np.full_like(zero, np.nan)
-        values[row_of("thrust")] = x
-        found.append(Record(trial, t, values))
+        values[SLIDER_CHANNELS.row("thrust")] = x
+        found.append(Record(trial, t, values, SLIDER_CHANNELS))
     residuals = {(i, "thrust"): x for i, x in enumerate(white)}
     predicted = zero + model
     for record in found:
-        record.values[row_of("thrust")] += model
+        record.values[SLIDER_CHANNELS.row("thrust")] += model
     return whiteness_tests(found, [predicted] * len(found), residuals, {"thrust": 0.01})
 
 

@@ -19,6 +19,7 @@ from calibration.learning.report import (
     with_learned,
 )
 from calibration.measurements.synthetic import Truth, random_trials, write_tank
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.effects.library import load_effects
 from slider_jax.experiment.load import load
 from slider_jax.simulation.trial import simulate_trial
@@ -86,7 +87,7 @@ def test_the_report_states_the_function_and_the_model_file_contains_it(learned, 
     inside = (low - 0.05 <= true) & (true <= high + 0.05)
     assert inside.all()
     assert record["next_experiment"]["purpose"] == "test_learned"
-    html = loop_page(outcome, record, learned_parts(record["learned"]))
+    html = loop_page(outcome, record, learned_parts(record["learned"], SLIDER_CHANNELS))
     assert html.count("data:image/png") == 3 and "Learned function" in html
     replaced = record["learned"]["replaced_effects"]
     assert replaced == learning.model.dictionary.replaced == outcome.corrections

@@ -11,6 +11,7 @@ from calibration.measurements.records import Record
 from calibration.model.initial_swing import first_mode, swing_spans
 from calibration.model.plan import Resolution, plan_trial
 from calibration.model.predict import predict_readings
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import at_rest, with_motion
 from slider_jax.experiment.load import load
@@ -94,7 +95,7 @@ def test_a_declared_swing_explains_the_residual_of_a_swinging_trial(tmp_path, si
     rng, moved = np.random.default_rng(5), predict_readings(p, THETA)
     tip = swinging_tip(p, 8e-4, -4e-3)
     moved[4] = np.interp(p.at, p.grid.times, tip) + 5e-5 * rng.normal(size=len(p.at))
-    record = Record(experiment.trials[0], p.at, moved)
+    record = Record(experiment.trials[0], p.at, moved, experiment.channels)
     problem = TankProblem.of(experiment, [record], (), ("tip",), MESH, MESH)
     white = problem.whiteners(problem.predict(THETA))
     (r,) = problem.residuals(problem.predict(THETA), white).values()
@@ -104,5 +105,5 @@ def test_a_declared_swing_explains_the_residual_of_a_swinging_trial(tmp_path, si
 def test_a_declared_swing_is_the_tare_of_the_tip_only():
     tip = np.random.default_rng(1).normal(size=300)
     sensors = SensorsTable(tip_noise=1e-4, start_swing=3e-4)
-    assert channel_noise(sensors, "tip", tip).tare == 3e-4
-    assert channel_noise(sensors, "p_front", tip).tare == 0.0
+    assert channel_noise(sensors, SLIDER_CHANNELS["tip"], tip).tare == 3e-4
+    assert channel_noise(sensors, SLIDER_CHANNELS["p_front"], tip).tare == 0.0

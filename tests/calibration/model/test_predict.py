@@ -7,7 +7,7 @@ from calibration.model.compiled import LONG, in_batches
 from calibration.model.extended import Part, acting_part, base_values, base_vector, model_parameters
 from calibration.model.plan import Resolution, plan_trial
 from calibration.model.predict import predict_each, predict_readings, pressure_histories
-from slider_jax.channels import recorded_series, row_of
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.experiment import load as experiment
 from slider_jax.simulation.trial import SavedSeries
@@ -53,10 +53,10 @@ def test_each_part_of_the_model_has_only_its_own_effects():
     saved = SavedSeries(p.extended.channels)
     run = rollout(model, TimeGrid(p.grid.h, p.grid.steps), saved, p.numerics, p.scheme)
     true = {name: np.pad(x, (1, 0)) for name, x in run.saved.items()}
-    recorded = recorded_series(model.effects, p.grid.times, true)
+    recorded = p.extended.channels.recorded(model.effects, p.grid.times, true)
     found = predict_readings(p, theta)
     for name, expected in recorded.items():
-        row = found[row_of(name)]
+        row = found[SLIDER_CHANNELS.row(name)]
         # The pressures have other Runge-Kutta steps here than in the rollout.
         atol = 1e-7 * np.abs(expected).max()
         np.testing.assert_allclose(row, expected[: len(at)], rtol=1e-7, atol=atol)

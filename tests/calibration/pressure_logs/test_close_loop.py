@@ -12,7 +12,7 @@ from calibration.pressure_logs.close_loop import close_loop_on_logs
 from calibration.pressure_logs.problem import PressureLogProblem, log_candidates, log_experiment
 from calibration.pressure_logs.read import read_log
 from calibration.pressure_logs.synthetic import Valves, write_logs
-from slider_jax.channels import row_of
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.errors import InputError
 from tests.support.synthetic_log import log_lines, write_log
 
@@ -84,16 +84,16 @@ def test_held_out_logs_are_predicted_to_the_noise(outcome):
 def test_the_halves_of_a_log_are_two_trials_of_one_simulation(logs):
     problem = PressureLogProblem.of_logs(logs[1:3], NAMES)
     theta = base_vector(model_parameters(NAMES), base_values(log_experiment(logs[0], None, {})))
-    predicted = [x[row_of("p_front")] for x in problem.predict(theta)]
+    predicted = [x[SLIDER_CHANNELS.row("p_front")] for x in problem.predict(theta)]
     for i, log in enumerate(logs[1:3]):
         halves = problem.records[2 * i : 2 * i + 2]
         np.testing.assert_array_equal(np.concatenate([r.t for r in halves]), log.t)
-        measured = np.concatenate([r.values[row_of("p_front")] for r in halves])
+        measured = np.concatenate([r.values[SLIDER_CHANNELS.row("p_front")] for r in halves])
         np.testing.assert_array_equal(measured, log.pressure_Pa)
         alone = PressureLogProblem.of_logs([log], NAMES).predict(theta)
         whole = np.concatenate(predicted[2 * i : 2 * i + 2])
         np.testing.assert_allclose(
-            whole, np.concatenate([x[row_of("p_front")] for x in alone]), atol=1e-3
+            whole, np.concatenate([x[SLIDER_CHANNELS.row("p_front")] for x in alone]), atol=1e-3
         )
         assert whole[0] == log.pressure_Pa[0]
     names = [r.trial.file for r in problem.records[:2]]

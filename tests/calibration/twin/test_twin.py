@@ -12,7 +12,7 @@ from calibration.twin.estimate import RecursiveEstimator
 from calibration.twin.stream import GapFiller, Samples
 from calibration.twin.twin import Twin, TwinSettings
 from rig.trial.waveform import SegmentDrive, chamber_pressures
-from slider_jax.channels import BUILT_IN, CHANNELS
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
 from slider_jax.realtime.plant import Plant
@@ -161,7 +161,7 @@ def test_a_fault_from_the_start_is_reported_as_a_misfit(started, experiment, cha
     vars(robot).update(change)
     follow(twin, robot, LEARNED)
     assert list(twin.misfits) == channels
-    for i, channel in enumerate(BUILT_IN):
+    for i, channel in enumerate(SLIDER_CHANNELS):
         rms, share = twin.misfits.get(channel, (0.0, 0.0))
         assert channel not in channels or rms > 0.0 and MAX_MISFIT[i] < share < 0.6
 
@@ -362,7 +362,7 @@ tau = 0.01
     run = simulate_trial(experiment, 0)
     t = run.columns["t_s"][1:]
     set_pressure = np.asarray(set_pressures(to_model(experiment, 0).drive, t))
-    true = np.stack([run.columns[c.column][1:] for c in CHANNELS.values()])
+    true = np.stack([run.columns[c.column][1:] for c in SLIDER_CHANNELS.values()])
     blocks = Twin.of(experiment).feed(Samples(t, set_pressure, true))
     after = t[: 10 * len(blocks)] > 0.5
     model = np.concatenate([b.model for b in blocks], axis=1)[:, after]

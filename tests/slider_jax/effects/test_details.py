@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from slider_jax.actuation.waveform import SquareWave
-from slider_jax.effects import Chamber, Readings
+from slider_jax.effects import Chamber
 from slider_jax.effects.dictionary.details import DETAILS, FINE_PARTS, REAR_PARTS
 from slider_jax.effects.library import DICTIONARY, KNOWN_EFFECTS, LIBRARY
+from tests.support.helpers import reading, slider_readings
 
 FACTORS = {"a": 0.1, "b": 0.2, "c": 0.4}
 Z = np.array([0.0, 1 / 32, 1 / 8, 0.5, 1.0])
@@ -91,8 +92,8 @@ def test_rear_parts_change_only_the_rear_chamber():
 
 def test_the_rear_pressure_sensor_alone_reads_the_other_pressure():
     t, p = jnp.arange(5.0), jnp.asarray(100e3 * Z)
-    true = Readings(t, p, -p, *(3 * [jnp.zeros(5)]))
+    true = slider_readings(t, p, -p, *(3 * [jnp.zeros(5)]))
     read = DICTIONARY["pressure_reading_of_other_of_rear"](a=0.5, scale=1.0).read(true)
-    np.testing.assert_allclose(read.p_rear, -p + 50e3 * Z)
+    np.testing.assert_allclose(read.pressures[1], -p + 50e3 * Z)
     for name in ("p_front", "thrust", "recoil", "tip"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(true, name))
+        np.testing.assert_array_equal(reading(read, name), reading(true, name))

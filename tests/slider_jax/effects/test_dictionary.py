@@ -15,6 +15,7 @@ from slider_jax.effects.library import DICTIONARY, LIBRARY
 from slider_jax.experiment.load import assemble
 from slider_jax.simulation.effect_signature import built_in_experiment
 from slider_jax.simulation.trial import simulate_trial
+from tests.support.helpers import slider_readings
 
 FILES = sorted({kind.__module__.split(".")[-1] for kind in DICTIONARY.values()} - {"details"})
 
@@ -105,11 +106,10 @@ def test_powers_are_constant_beyond_the_largest_visited_state():
 
 def test_a_drift_of_the_gain_is_proportional_to_the_reading():
     t = jnp.array([0.0, 1.0, 2.0])
-    true = Readings(t, 1e5 * (1.0 + t), -2e5 * t, t, t, t)
+    true = slider_readings(t, 1e5 * (1.0 + t), -2e5 * t, t, t, t)
     read = DICTIONARY["pressure_reading_gain_drift"](a=0.1, b=0.02).read(true)
     gain = 1.0 + 0.1 * t + 0.02 * (1.0 - np.exp(-2.0 * t))
-    np.testing.assert_allclose(read.p_front, gain * true.p_front)
-    np.testing.assert_allclose(read.p_rear, gain * true.p_rear)
+    np.testing.assert_allclose(read.pressures, gain * true.pressures)
     np.testing.assert_array_equal(read.tip, true.tip)
 
 
@@ -179,7 +179,7 @@ OTHERS = [(s, o) for s in ("thrust", "recoil") for o in ("pressure", "tip")]
 def test_the_error_of_a_force_sensor_depends_on_another_channel(sensor, other):
     """A pressure is in units of 100 kPa, a tip position in units of 20 mm."""
     y = np.linspace(0.3, 0.7, 5)
-    true = Readings(jnp.arange(5.0), 1e5 * Z, -2e5 * Z, 0.4 * y, y, 0.02 * Z)
+    true = slider_readings(jnp.arange(5.0), 1e5 * Z, -2e5 * Z, 0.4 * y, y, 0.02 * Z)
     term = DICTIONARY[f"{sensor}_reading_of_{other}"](a=0.1, b=0.2, c=0.4, scale=2.0)
     read = term.read(true)
     parts = [0.5 * Z, -Z] if other == "pressure" else [0.5 * Z]
@@ -188,8 +188,9 @@ def test_the_error_of_a_force_sensor_depends_on_another_channel(sensor, other):
     np.testing.assert_allclose(getattr(read, sensor), getattr(true, sensor) + scale * error)
     for name in set(true._fields) - {sensor}:
         np.testing.assert_array_equal(getattr(read, name), getattr(true, name))
-    last = term.read_sample(true, Readings(*(x[:-1] for x in read)))
-    np.testing.assert_allclose(last, [x[-1] for x in read])
+    last = term.read_sample(true, Readings(*(x[..., :-1] for x in read)))
+    for found, expected in zip(last, read, strict=True):
+        np.testing.assert_allclose(found, expected[..., -1])
 
 
 def chambers(p, p_set):
@@ -255,7 +256,7 @@ def test_the_moment_of_a_chamber_drifts_in_proportion_to_its_pressure():
 def test_the_memory_of_a_sensor_is_the_step_response_of_its_curve():
     t = 1e-3 * jnp.arange(600.0)
     step = jnp.where(t > 0.0, 0.4, 0.0)
-    true = Readings(t, *(5 * [step]))
+    true = slider_readings(t, *(5 * [step]))
     term = DICTIONARY["thrust_reading_memory"](a=0.2, b=-0.3, c=0.5)
     change = term.read(true).thrust - step
     curve = sum(f * x for f, x in zip((0.2, -0.3, 0.5), term.basis(t), strict=True))
@@ -267,7 +268,7 @@ def test_the_hysteresis_of_a_sensor_depends_on_the_direction():
     """Each state of friction is 1 while the reading rises, and -1 while it falls."""
     up = jnp.linspace(0.0, 8.0, 400)
     y = jnp.concatenate([up, up[::-1]])
-    true = Readings(1e-3 * jnp.arange(800.0), *(5 * [y]))
+    true = slider_readings(1e-3 * jnp.arange(800.0), *(5 * [y]))
     term = DICTIONARY["recoil_reading_hysteresis"](a=0.1, b=0.02, c=0.004)
     change = np.asarray(term.read(true).recoil - y)
     np.testing.assert_allclose(change[[0, 399, 799]], [0.0, 0.124, -0.124], atol=1e-3)
@@ -278,18 +279,20 @@ def test_the_hysteresis_of_a_sensor_depends_on_the_direction():
 def test_the_delay_of_the_camera_depends_on_the_tip_position():
     t = 1e-3 * jnp.arange(1000.0)
     tip = 0.01 * jnp.sin(2.0 * np.pi * t)
-    read = DICTIONARY["tip_reading_delay"](a=0.3, scale=1.0).read(Readings(t, *(5 * [tip]))).tip
+    read = (
+        DICTIONARY["tip_reading_delay"](a=0.3, scale=1.0).read(slider_readings(t, *(5 * [tip]))).tip
+    )
     late = 0.01 * np.sin(2.0 * np.pi * (t - 0.02 * 0.3 * tip / 0.02))
     np.testing.assert_allclose(read[10:-10], late[10:-10], atol=1e-8)
 
 
 def test_an_error_of_a_pressure_sensor_depends_on_the_other_pressure():
-    true = Readings(jnp.arange(5.0), 1e5 * Z, jnp.full(5, 1e5), Z, Z, Z)
+    true = slider_readings(jnp.arange(5.0), 1e5 * Z, jnp.full(5, 1e5), Z, Z, Z)
     read = DICTIONARY["pressure_reading_of_other"](a=0.1, b=0.2, c=0.4, scale=2.0).read(true)
-    np.testing.assert_allclose(read.p_front - true.p_front, 1e5 * (0.05 + 0.1 + 0.1))
+    np.testing.assert_allclose(read.pressures[0] - true.pressures[0], 1e5 * (0.05 + 0.1 + 0.1))
     q = 0.5 * Z
     np.testing.assert_allclose(
-        read.p_rear - true.p_rear, 1e5 * (0.1 * q + 0.2 * np.abs(q) + 0.4 * q**2)
+        read.pressures[1] - true.pressures[1], 1e5 * (0.1 * q + 0.2 * np.abs(q) + 0.4 * q**2)
     )
 
 

@@ -17,11 +17,11 @@ from slider_jax.channels import recorded
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.pressures import start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, rollout
-from slider_jax.effects import NormalDrag, ReactiveForce, Readings
+from slider_jax.effects import NormalDrag, ReactiveForce
 from slider_jax.effects.library import LIBRARY
 from slider_jax.observables import recoil, thrust, tip
 from slider_jax.supports import Clamped
-from tests.support.helpers import SMALL, arrays
+from tests.support.helpers import SMALL, arrays, slider_readings
 
 SENSORS = ("pressure", "pressure", "thrust", "recoil", "tip")
 """Sensors of the rows of `readings`."""
@@ -50,8 +50,8 @@ def readings(effects):
     run = rollout(model, TIMES, save, SMALL, checkpoint=False)
     first = jnp.concatenate([start_chambers(model).p, jnp.zeros(3)])
     t = jnp.concatenate([jnp.zeros(1), TIMES.times])
-    read = recorded(model.effects, Readings(t, *jnp.concatenate([first[None], run.saved]).T))
-    return jnp.where(run.ok, jnp.stack(read[1:]), jnp.nan)
+    read = recorded(model.effects, slider_readings(t, *jnp.concatenate([first[None], run.saved]).T))
+    return jnp.where(run.ok, jnp.stack([*read.pressures, *read[2:]]), jnp.nan)
 
 
 def extended(theta):

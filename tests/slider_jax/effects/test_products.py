@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from slider_jax.actuation.waveform import SineWave, SquareWave
-from slider_jax.effects import Chamber, Readings
+from slider_jax.channels import SLIDER_CHANNELS
+from slider_jax.effects import Chamber
 from slider_jax.effects.library import DICTIONARY
+from tests.support.helpers import reading, slider_readings
 
 Z = np.array([-1.0, -0.5, 0.0, 0.25, 1.0])
 """States, in units of the scale."""
@@ -260,11 +262,11 @@ def readings(scale=1.0):
     """Readings of all sensors in a parabola of the time, in units of their scale."""
     t = 0.01 * np.arange(101.0)
     y = scale * t**2
-    return Readings(*map(jnp.asarray, (t, 1e5 * y, 1e5 * y, 0.2 * y, y, 0.02 * y)))
+    return slider_readings(*map(jnp.asarray, (t, 1e5 * y, 1e5 * y, 0.2 * y, y, 0.02 * y)))
 
 
 def field(read, sensor):
-    return np.asarray(read.p_rear if sensor == "pressure" else getattr(read, sensor))
+    return np.asarray(read.pressures[1] if sensor == "pressure" else getattr(read, sensor))
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -280,7 +282,7 @@ def test_a_rate_does_not_depend_on_the_first_interval():
     """The first reading is at 0, and the others are late by 0.5 ms."""
     t = np.array([0.0, *(0.0005 + 0.01 * np.arange(50))])
     y = jnp.asarray(3e5 * t)
-    true = Readings(jnp.asarray(t), *(5 * [y]))
+    true = slider_readings(jnp.asarray(t), *(5 * [y]))
     rate = DICTIONARY["pressure_reading_of_rate"]().state(true)
     np.testing.assert_allclose(rate, 0.05 * 3.0)
 
@@ -293,7 +295,7 @@ def test_the_gain_of_a_sensor_oscillates(sensor):
     gain = 1.0 + 0.3 * np.sin(angle) - 0.1 * np.cos(angle)
     read = term.read(true)
     np.testing.assert_allclose(field(read, sensor), gain * field(true, sensor), atol=1e-12)
-    others = set(true._fields) - {sensor, "p_front", "p_rear"}
+    others = set(true._fields) - {sensor, "pressures"}
     assert all(np.array_equal(getattr(read, n), getattr(true, n)) for n in others)
 
 
@@ -357,11 +359,11 @@ def test_the_flow_depends_on_the_size_of_the_difference_or_on_the_other_chamber(
 @pytest.mark.parametrize("sensor", ["pressure", "thrust", "recoil", "tip"])
 def test_the_error_of_a_sensor_has_corners(sensor):
     scale = {"pressure": 100e3, "thrust": 0.2, "recoil": 1.0, "tip": 0.02}[sensor]
-    true = Readings(jnp.arange(5.0), *(5 * [jnp.asarray(2.0 * scale * Z)]))
+    true = slider_readings(jnp.arange(5.0), *(5 * [jnp.asarray(2.0 * scale * Z)]))
     read = DICTIONARY[f"{sensor}_reading_with_corners"](**FACTORS, scale=2.0).read(true)
     changed = ("p_front", "p_rear") if sensor == "pressure" else (sensor,)
-    for name in Readings._fields[1:]:
-        error = np.asarray(getattr(read, name) - getattr(true, name))
+    for name in SLIDER_CHANNELS:
+        error = np.asarray(reading(read, name) - reading(true, name))
         np.testing.assert_allclose(error, scale * CORNERS * (name in changed), atol=1e-12)
 
 
@@ -433,19 +435,19 @@ def test_the_set_pressure_contains_a_sine():
 
 def test_the_front_pressure_sensor_has_its_own_error():
     p = 100e3 * jnp.asarray(Z)
-    true = Readings(jnp.arange(5.0), *(5 * [p]))
+    true = slider_readings(jnp.arange(5.0), *(5 * [p]))
     read = DICTIONARY["front_pressure_reading"](**FACTORS, scale=1.0).read(true)
-    np.testing.assert_allclose(read.p_front - p, 100e3 * MIXED)
-    np.testing.assert_array_equal(read.p_rear, p)
+    np.testing.assert_allclose(read.pressures[0] - p, 100e3 * MIXED)
+    np.testing.assert_array_equal(read.pressures[1], p)
     both = DICTIONARY["pressure_reading_hysteresis"](**FACTORS).read(true)
     front = DICTIONARY["front_pressure_reading_hysteresis"](**FACTORS).read(true)
-    np.testing.assert_array_equal(front.p_rear, p)
-    np.testing.assert_array_equal(front.p_front, both.p_front)
-    np.testing.assert_array_equal(both.p_front, both.p_rear)
+    np.testing.assert_array_equal(front.pressures[1], p)
+    np.testing.assert_array_equal(front.pressures[0], both.pressures[0])
+    np.testing.assert_array_equal(both.pressures[0], both.pressures[1])
     step = 100e3 * sum(
         f * (1.0 - np.exp(-0.5 / w)) for f, w in zip((0.1, 0.2, 0.4), (0.1, 0.3, 1.0), strict=True)
     )
-    assert float(both.p_front[1] - p[1]) == pytest.approx(step, rel=1e-9)
+    assert float(both.pressures[0, 1] - p[1]) == pytest.approx(step, rel=1e-9)
 
 
 @pytest.mark.parametrize(("name", "acts"), [("opening_drift", 1.0), ("rear_opening_drift", 0.0)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slider_jax.beam.state import to_body
-from slider_jax.effects import Readings
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.effects.sensors.camera_delay import CameraDelay
 from slider_jax.effects.sensors.camera_offset import CameraOffset
 from slider_jax.effects.sensors.camera_scale import CameraScale
@@ -28,24 +28,23 @@ from slider_jax.effects.sensors.pressure_offset import PressureOffset
 from slider_jax.effects.sensors.pressure_resonance import PressureResonance
 from slider_jax.effects.sensors.pressure_saturation import PressureSaturation
 from slider_jax.effects.sensors.pressure_sensor_lag import PressureSensorLag
-from tests.support.helpers import order
+from tests.support.helpers import order, reading, slider_readings
 
-CHANNELS = Readings._fields[1:]
 TURN = 2.0 * np.pi
 
 
 def made_of(value, t):
     """Readings whose channels are value(t) times a factor for each channel."""
     shape = value(t)
-    return Readings(t, 2e5 * shape, -1e5 * shape, 0.3 * shape, 0.8 * shape, 0.02 * shape)
+    return slider_readings(t, 2e5 * shape, -1e5 * shape, 0.3 * shape, 0.8 * shape, 0.02 * shape)
 
 
 def untouched(effect, true, read):
     """Checks that t and the other channels are bitwise unchanged."""
     seen = ("p_front", "p_rear") if "pressure" in effect.sensors else ()
-    for name in ("t", *CHANNELS):
+    for name in ("t", *SLIDER_CHANNELS):
         if name not in (*seen, *effect.sensors):
-            np.testing.assert_array_equal(getattr(read, name), getattr(true, name))
+            np.testing.assert_array_equal(reading(read, name), reading(true, name))
 
 
 def phasor(t, x, f):
@@ -69,7 +68,7 @@ SERIES = made_of(lambda t: np.sin(9.0 * t) + 0.3 * np.cos(31.0 * t), np.linspace
 def test_a_gain_scales_only_its_own_channels(effect, expected):
     read = effect.read(SERIES)
     for name, factor in expected.items():
-        np.testing.assert_allclose(getattr(read, name), factor * getattr(SERIES, name), rtol=1e-14)
+        np.testing.assert_allclose(reading(read, name), factor * reading(SERIES, name), rtol=1e-14)
     untouched(effect, SERIES, read)
 
 
@@ -77,7 +76,7 @@ def test_an_offset_shifts_both_pressures():
     read = PressureOffset(3e3).read(SERIES)
     for name in ("p_front", "p_rear"):
         np.testing.assert_allclose(
-            np.asarray(getattr(read, name) - getattr(SERIES, name)), 3e3, rtol=1e-9
+            np.asarray(reading(read, name) - reading(SERIES, name)), 3e3, rtol=1e-9
         )
     untouched(PressureOffset, SERIES, read)
 
@@ -101,7 +100,7 @@ def test_an_offset_shifts_both_pressures():
 def test_a_zero_error_adds_a_function_of_time_to_its_own_channels(effect, expected):
     read, t = effect.read(SERIES), np.asarray(SERIES.t)
     for name, error in expected.items():
-        added = np.asarray(getattr(read, name) - getattr(SERIES, name))
+        added = np.asarray(reading(read, name) - reading(SERIES, name))
         np.testing.assert_allclose(added, error(t), rtol=1e-9, atol=1e-10)
     untouched(effect, SERIES, read)
 
@@ -110,9 +109,9 @@ def test_a_side_gain_scales_positive_and_negative_forces_differently():
     effect = ForceSideGain(0.05)
     read = effect.read(SERIES)
     for name in ("thrust", "recoil"):
-        true = np.asarray(getattr(SERIES, name))
+        true = np.asarray(reading(SERIES, name))
         expected = np.where(true > 0.0, 1.05 * true, 0.95 * true)
-        np.testing.assert_allclose(getattr(read, name), expected, rtol=1e-14)
+        np.testing.assert_allclose(reading(read, name), expected, rtol=1e-14)
     untouched(effect, SERIES, read)
 
 
@@ -125,8 +124,8 @@ def test_a_cubic_error_has_the_harmonics_of_a_cubed_sine(effect, c):
     true = made_of(lambda t: jnp.sin(TURN * f * t), t)
     read = effect.read(true)
     for name in effect.sensors:
-        A = float(np.abs(getattr(true, name)).max())
-        x = np.asarray(getattr(read, name))[1:]
+        A = float(np.abs(reading(true, name)).max())
+        x = np.asarray(reading(read, name))[1:]
         first, third = (
             2.0 * np.mean(x * np.exp(-1j * TURN * n * f * np.asarray(t)[1:])) for n in (1, 3)
         )
@@ -141,7 +140,7 @@ def test_a_pressure_sensor_loses_sensitivity_beyond_its_range(c, beyond):
     true = made_of(lambda t: t, jnp.linspace(-1.0, 1.0, 201))
     read = PressureSaturation(c, 60e3).read(true)
     for name in ("p_front", "p_rear"):
-        p, found = (np.asarray(getattr(x, name)) for x in (true, read))
+        p, found = (np.asarray(reading(x, name)) for x in (true, read))
         inside = np.clip(p, -60e3, 60e3)
         expected = inside + beyond * (p - inside)
         far = np.abs(np.abs(p) - 60e3) > 25e3
@@ -158,7 +157,7 @@ def test_hum_has_the_amplitude_and_phase_of_its_sine_and_cosine():
     read = MainsHum(a=0.03, b=-0.02, frequency=60.0).read(true)
     for name in ("thrust", "recoil"):
         for f, expected in ((60.0, -0.02 - 0.03j), (50.0, 0.0)):
-            assert abs(phasor(t, getattr(read, name), f) - expected) < 1e-9
+            assert abs(phasor(t, reading(read, name), f) - expected) < 1e-9
     untouched(MainsHum, true, read)
 
 
@@ -183,9 +182,9 @@ def test_a_lag_follows_a_ramp_exactly(effect, names):
     read = effect.read(true)
     behind = 2.0 * 0.02 * -np.expm1(-np.asarray(t) / 0.02)
     for name in names:
-        size = getattr(true, name)[0] / 5.0
-        expected = np.asarray(getattr(true, name) - size * behind)
-        np.testing.assert_allclose(getattr(read, name), expected, rtol=1e-13)
+        size = reading(true, name)[0] / 5.0
+        expected = np.asarray(reading(true, name) - size * behind)
+        np.testing.assert_allclose(reading(read, name), expected, rtol=1e-13)
     untouched(effect, true, read)
 
 
@@ -194,12 +193,12 @@ def test_the_tangent_of_a_lag_at_its_null_is_the_slope(kind):
     t = jnp.linspace(0.0, 1.0, 2001)
     true = made_of(lambda t: jnp.sin(7.0 * t), t)
     read, tangent = jax.jvp(lambda tau: kind(tau).read(true), (0.0,), (1.0,))
-    for name in CHANNELS:
-        np.testing.assert_array_equal(getattr(read, name), getattr(true, name))
+    for name in SLIDER_CHANNELS:
+        np.testing.assert_array_equal(reading(read, name), reading(true, name))
     name = "thrust" if kind is ForceSensorLag else "p_rear"
-    size = getattr(true, name)[1] / jnp.sin(7.0 * t[1])
+    size = reading(true, name)[1] / jnp.sin(7.0 * t[1])
     slope = np.asarray(-7.0 * size * jnp.cos(7.0 * t))[1:]
-    assert np.abs(getattr(tangent, name)[1:] - slope).max() < 3e-3 * np.abs(slope).max()
+    assert np.abs(reading(tangent, name)[1:] - slope).max() < 3e-3 * np.abs(slope).max()
 
 
 @pytest.mark.parametrize("kind", [ForceResonance, PressureResonance])
@@ -217,7 +216,7 @@ def test_a_resonance_has_the_response_of_its_oscillator(kind):
         untouched(effect, true, read)
         w = TURN * f
         expected = 1.0 / (1.0 - c * w**2 + 1j * c * b * w)
-        ratios = [phasor(t, getattr(read, n), f) / phasor(t, getattr(true, n), f) for n in names]
+        ratios = [phasor(t, reading(read, n), f) / phasor(t, reading(true, n), f) for n in names]
         np.testing.assert_allclose(ratios[0], ratios[1], rtol=1e-12)
         return abs(ratios[0] / expected - 1.0)
 
@@ -264,12 +263,12 @@ def test_a_delay_moves_the_curve(kind, names):
         read, moved = kind(delay).read(true), made_of(value, t - delay)
         inside = (t > 0.02) & (t < 0.98)
         for name in names:
-            size = np.abs(getattr(true, name)).max()
-            assert np.abs(getattr(read, name) - getattr(moved, name))[inside].max() < 1e-4 * size
+            size = np.abs(reading(true, name)).max()
+            assert np.abs(reading(read, name) - reading(moved, name))[inside].max() < 1e-4 * size
         untouched(kind, true, read)
     read = kind(0.01).read(true)  # four samples: exact, and what was there at the start before them
     for name in names:
-        before, after = np.asarray(getattr(true, name)), np.asarray(getattr(read, name))
+        before, after = np.asarray(reading(true, name)), np.asarray(reading(read, name))
         np.testing.assert_allclose(after[4:], before[:-4], rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(after[:4], before[0], rtol=1e-9)
 
@@ -286,9 +285,9 @@ def test_the_tangent_of_a_delay_at_its_null_is_the_slope_of_either_side(kind):
         return getattr(kind(delay).read(true), name)
 
     value, tangent = jax.jvp(read, (0.0,), (1.0,))
-    np.testing.assert_array_equal(value, getattr(true, name))
+    np.testing.assert_array_equal(value, reading(true, name))
     size = np.abs(tangent).max()
-    slope = -getattr(true, name)[1] / jnp.sin(9.0 * t[1]) * 9.0 * jnp.cos(9.0 * t)
+    slope = -reading(true, name)[1] / jnp.sin(9.0 * t[1]) * 9.0 * jnp.cos(9.0 * t)
     assert np.abs(tangent - slope)[1:-1].max() < 1e-3 * size
     for step in (1e-6, -1e-6):
         np.testing.assert_allclose((read(step) - value) / step, tangent, atol=1e-3 * size)

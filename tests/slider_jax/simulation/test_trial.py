@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from slider_jax.channels import channel_columns
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
@@ -45,10 +45,12 @@ def test_files_columns_and_sample_times(simulated):
     }
     for name, last in (("trial_00.csv", 0.75), ("trial_01.csv", 0.9)):
         columns = _read(out / name)
-        assert columns.dtype.names == channel_columns()
+        assert columns.dtype.names == SLIDER_CHANNELS.columns
         np.testing.assert_allclose(columns["t_s"], np.arange(len(columns)) / 500, atol=1e-12)
         assert columns["t_s"][-1] == last
-        assert [columns[name][0] for name in channel_columns()] == [0.0] * 6  # the initial state
+        assert [columns[name][0] for name in SLIDER_CHANNELS.columns] == [
+            0.0
+        ] * 6  # the initial state
         assert np.ptp(columns["recoil_N"]) > 0.1 and np.ptp(columns["tip_m"]) > 0.005
 
 
