@@ -131,7 +131,9 @@ def noisy_records(
     sensors = declared._replace(**{name: factor * getattr(declared, name) for name in WHITE})
     for trial, y in zip(tank.experiment.trials, true, strict=True):
         t = np.arange(y.shape[1]) / declared.sample_rate
-        named = {"t_s": t} | {SLIDER_CHANNELS[c].column: row for c, row in zip(SLIDER_CHANNELS, y, strict=True)}
+        named = {"t_s": t} | {
+            SLIDER_CHANNELS[c].column: row for c, row in zip(SLIDER_CHANNELS, y, strict=True)
+        }
         if noise == "clock_skew":
             named |= {
                 x.column: np.interp(t * (1.0 + SKEW), t, named[x.column])
@@ -151,7 +153,11 @@ def noisy_records(
                 noise == "camera_only" and channel.kind != "camera"
             ):
                 x[:] = np.nan
-        records.append(Record(trial, t, np.stack([columns[SLIDER_CHANNELS[c].column] for c in SLIDER_CHANNELS])))
+        records.append(
+            Record(
+                trial, t, np.stack([columns[SLIDER_CHANNELS[c].column] for c in SLIDER_CHANNELS])
+            )
+        )
     return records
 
 

@@ -155,13 +155,13 @@ def _tip_load(folder: Path, x: TipLoadTable, robot: RobotTable) -> Shapes:
             "forces are in newtons: 1 g weighs 0.00981 N",
         )
     _same_way(path, force, tip, "force_N")
-    idle = np.zeros((len(force), len(robot.chambers)))
+    idle = np.zeros((len(force), len(robot.own_chambers)))
     return Shapes(x.file, "tip_load", tail, force, idle, tip, joint, x.tip_noise)
 
 
 def _pressure(folder: Path, x: PressureTable, robot: RobotTable) -> Shapes:
     path = folder / x.file
-    channels = channels_of(robot.chamber_names)
+    channels = channels_of([x.name for x in robot.own_chambers])
     names = [channels[x].column for x in channels.pressures]
     columns = read_table(path, (*names, "tip_m"))
     p = np.stack([columns[x] for x in names], axis=1)

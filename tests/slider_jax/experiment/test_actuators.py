@@ -147,10 +147,12 @@ CASES = {
     "no span": (FRONT.replace("span = [0.02, 0.145]\n", ""), "actuators.0.span: missing"),
     "no name": (FRONT.replace('name = "front"\n', ""), "actuators.0.name: missing"),
     "unknown key": (
-        FRONT.replace("span", "K_Q = 1e-7\nspan"), "actuators.0.K_Q: unknown key; allowed kind, name",
+        FRONT.replace("span", "K_Q = 1e-7\nspan"),
+        "actuators.0.K_Q: unknown key; allowed kind, name",
     ),
     "name with a space": (
-        chamber("my chamber", 0.02, 0.1), "actuators.0.name: given 'my chamber'; allowed lower-case",
+        chamber("my chamber", 0.02, 0.1),
+        "actuators.0.name: given 'my chamber'; allowed lower-case",
     ),
     "same name": (
         FRONT + chamber("front", 0.155, 0.28),
@@ -166,7 +168,8 @@ CASES = {
         "actuators.1.span: given [0.1, 0.28]; allowed a span outside of [0.02, 0.145]",
     ),
     "wrong order": (
-        REAR + FRONT, "actuators.1.span: given [0.02, 0.145]; allowed a near end of at least 0.155 m",
+        REAR + FRONT,
+        "actuators.1.span: given [0.02, 0.145]; allowed a near end of at least 0.155 m",
     ),
     "reversed": (
         chamber("front", 0.145, 0.02), "actuators.0.span: given [0.145, 0.02]; allowed [near, far]",
@@ -174,7 +177,10 @@ CASES = {
     "beyond the body": (
         chamber("front", 0.02, 0.31), "actuators.0.span: given [0.02, 0.31]; allowed spans within",
     ),
-    "millimetres": (chamber("front", 20.0, 145.0), "actuators.0.span.0: given 20.0; allowed 0 to 3 m"),
+    "millimetres": (
+        chamber("front", 20.0, 145.0),
+        "actuators.0.span.0: given 20.0; allowed 0 to 3 m",
+    ),
     "limit in kPa": (
         chamber("front", 0.02, 0.145, "limit = 200"),
         "actuators.0.limit: given 200.0; allowed 1000 to 2e+06 Pa",
@@ -184,7 +190,8 @@ CASES = {
         "actuators.0.side: given 'top'; allowed 'both', 'left' or 'right'",
     ),
     "ratio of zero": (
-        chamber("front", 0.02, 0.145, "K_Q_ratio = 0"), "actuators.0.K_Q_ratio: given 0.0; allowed 0.01",
+        chamber("front", 0.02, 0.145, "K_Q_ratio = 0"),
+        "actuators.0.K_Q_ratio: given 0.0; allowed 0.01",
     ),
 }  # fmt: skip
 
@@ -198,7 +205,10 @@ def test_wrong_actuators_are_one_clear_error(case, tmp_path):
 
 
 DRIVES = {
-    "too few ratios": ("ratios = [1.0]\n", "trials.0.ratios: given [1.0]; allowed one number for each"),
+    "too few ratios": (
+        "ratios = [1.0]\n",
+        "trials.0.ratios: given [1.0]; allowed one number for each",
+    ),
     "ratios and rear_ratio": (
         "rear_ratio = 0.9\nratios = [1.0, 0.9]\n",
         "trials.0.rear_ratio: given 0.9; allowed nothing, because the trial has ratios",
@@ -206,19 +216,27 @@ DRIVES = {
     "phases and phase": (
         "phase = 0.1\nphases = [0.0, 0.1]\n", "trials.0.phase: given 0.1; allowed nothing",
     ),
-    "phase in degrees": ("phases = [0.0, 36.0]\n", "trials.0.phases.1: given 36.0; allowed -1 to 1"),
+    "phase in degrees": (
+        "phases = [0.0, 36.0]\n",
+        "trials.0.phases.1: given 36.0; allowed -1 to 1",
+    ),
     "bias without chamber": (
-        "biases = [1e3, 1e3, 1e3]\n", "trials.0.biases: given [1000.0, 1000.0, 1000.0]; allowed one",
+        "biases = [1e3, 1e3, 1e3]\n",
+        "trials.0.biases: given [1000.0, 1000.0, 1000.0]; allowed one",
     ),
     "NaN": ("ratios = [nan, 1.0]\n", "trials.0.ratios.0: given nan; allowed -20 to 20"),
     "speed of a clamped robot": (
-        "start_speed = 0.2\n", 'trials.0.start_speed: given 0.2; allowed 0, unless support is "free"',
+        "start_speed = 0.2\n",
+        'trials.0.start_speed: given 0.2; allowed 0, unless support is "free"',
     ),
     "towed free robot": (
         'support = "free"\nheave = 0.01\n',
         'trials.0.heave: given 0.01; allowed 0, unless support is "clamped"',
     ),
-    "unknown support": ('support = "pinned"\n', "trials.0.support: given 'pinned'; allowed 'clamped'"),
+    "unknown support": (
+        'support = "pinned"\n',
+        "trials.0.support: given 'pinned'; allowed 'clamped'",
+    ),
     "half a lead stride": ("lead_strides = 0.5\n", "trials.0.lead_strides: given 0.5"),
     "lead with another clamp frequency": (
         "lead_strides = 2\nheave = 0.01\nclamp_frequency = 1.0\n",

@@ -101,10 +101,14 @@ def test_equal_experiments_have_equal_channels(tmp_path):
 
 CASES = {
     "unknown kind": (
-        channel("strain", ["e"], name="e", s=0.1), "sensors.channels.0.kind: given 'strain'; allowed",
+        channel("strain", ["e"], name="e", s=0.1),
+        "sensors.channels.0.kind: given 'strain'; allowed",
     ),
     "no columns": ('[[sensors.channels]]\nkind = "speed"\n', "sensors.channels.0.columns: missing"),
-    "empty columns": (channel("speed", []), "sensors.channels.0.columns: Value should have at least 1 item"),
+    "empty columns": (
+        channel("speed", []),
+        "sensors.channels.0.columns: Value should have at least 1 item",
+    ),
     "marker without place": (
         channel("marker", ["y_m"], name="m"),
         "sensors.channels.0.s: given nothing; allowed a distance from the head in m, only for marker",
@@ -113,7 +117,8 @@ CASES = {
         channel("marker", ["y_m"], s=0.1), "sensors.channels.0.name: given nothing; allowed a name",
     ),
     "marker in millimetres": (
-        channel("marker", ["y_m"], name="m", s=160.0), "sensors.channels.0.s: given 160.0; allowed 0 to 3",
+        channel("marker", ["y_m"], name="m", s=160.0),
+        "sensors.channels.0.s: given 160.0; allowed 0 to 3",
     ),
     "marker beyond the robot": (
         channel("marker", ["y_m"], name="m", s=0.5),
@@ -130,27 +135,32 @@ CASES = {
         channel("thrust", ["Fx_N"], s=0.1), "sensors.channels.0.s: given 0.1; allowed a distance",
     ),
     "name of a force": (
-        channel("thrust", ["Fx_N"], name="fx"), "sensors.channels.0.name: given 'fx'; allowed nothing",
+        channel("thrust", ["Fx_N"], name="fx"),
+        "sensors.channels.0.name: given 'fx'; allowed nothing",
     ),
     "pressure without actuator": (
-        channel("pressure", ["P_Pa"]), "sensors.channels.0.actuator: given nothing; allowed the name",
+        channel("pressure", ["P_Pa"]),
+        "sensors.channels.0.actuator: given nothing; allowed the name",
     ),
     "pressure of an unknown actuator": (
         channel("pressure", ["P_Pa"], actuator="middle"),
         "sensors.channels.0.actuator: given 'middle'; allowed chambers: front, rear",
     ),
     "column of another channel": (
-        channel("marker", ["tip_m"], name="m", s=0.1), "channel m (column tip_m): another channel has",
+        channel("marker", ["tip_m"], name="m", s=0.1),
+        "channel m (column tip_m): another channel has",
     ),
     "column of the time": (
-        channel("speed", ["t_s"]), "channel speed (column t_s): another channel has this name or column",
+        channel("speed", ["t_s"]),
+        "channel speed (column t_s): another channel has this name or column",
     ),
     "same name twice": (
         channel("angle", ["a"], name="m", s=0.1) + channel("angle", ["b"], name="m", s=0.2),
         "channel m (column b): another channel has this name or column",
     ),
     "negative noise": (
-        channel("speed", ["u"], noise=-1.0), "sensors.channels.0.noise: given -1.0; allowed 0 to 100000",
+        channel("speed", ["u"], noise=-1.0),
+        "sensors.channels.0.noise: given -1.0; allowed 0 to 100000",
     ),
     "gain in percent": (
         channel("speed", ["u"], gain=2.0), "sensors.channels.0.gain: given 2.0; allowed 0 to 0.5",
