@@ -220,15 +220,19 @@ def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, ...]:
         )
     for name in names:
         check_pascal(path, columns, (name,))
-    limits = [_limits(x) for x in experiment.chambers] if trial.drive_is == "set" else None
     series = [columns[name] for name in names]
-    if limits is not None:
+    if trial.drive_is == "set":
+        limits = pressure_limits(experiment)
         series = [np.clip(x, *limit) for x, limit in zip(series, limits, strict=True)]
     return tuple(Recorded(jnp.asarray(times), jnp.asarray(x)) for x in series)
 
 
+def pressure_limits(experiment: Experiment) -> tuple[tuple[float, float], ...]:
+    """Returns the lowest and the highest set pressure [Pa] of each chamber or pair of chambers."""
+    return tuple(_limits(x) for x in experiment.chambers)
+
+
 def _limits(chamber: ChamberTable) -> tuple[float, float]:
-    """Returns the lowest and the highest set pressure [Pa] of a chamber or pair of chambers."""
     limit = chamber.limit or inf
     return -limit if chamber.acts_on("right") else 0.0, limit if chamber.acts_on("left") else 0.0
 
@@ -265,7 +269,7 @@ def _limited(
     """Returns the waves with the trial's biases, cut at the limits of the chambers."""
     if trial.biases is not None:
         waves = tuple(Biased(x, bias) for x, bias in zip(waves, trial.biases, strict=True))
-    limits = [_limits(x) for x in experiment.chambers]
+    limits = pressure_limits(experiment)
     if all(x == (-inf, inf) for x in limits):
         return waves
     return tuple(Clipped(x, *limit) for x, limit in zip(waves, limits, strict=True))
