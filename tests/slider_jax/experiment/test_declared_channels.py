@@ -111,7 +111,7 @@ CASES = {
     ),
     "marker without place": (
         channel("marker", ["y_m"], name="m"),
-        "sensors.channels.0.s: given nothing; allowed a distance from the head in m, only for marker",
+        "sensors.channels.0.s: given nothing; allowed a distance from the head in m",
     ),
     "marker without name": (
         channel("marker", ["y_m"], s=0.1), "sensors.channels.0.name: given nothing; allowed a name",
