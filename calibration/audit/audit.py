@@ -18,8 +18,9 @@ from calibration.audit.pressures import check_pressures
 from calibration.audit.rows import Unusable, read_rows
 from calibration.audit.sensors import check_sensor
 from calibration.audit.time_stamps import regular_rows
-from calibration.measurements.records import Finding, Record
+from calibration.measurements.records import Finding, Record, declared_noise
 from slider_jax.errors import InputError
+from slider_jax.experiment.drive import pressure_limits
 from slider_jax.experiment.load import Experiment
 
 MAX_LISTED = 5
@@ -85,11 +86,11 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
             continue
         values, filled = rows.values.copy(), np.isfinite(rows.values).any(axis=0)
         for i, (channel, sensor) in enumerate(channels.items()):
-            noise = getattr(experiment.sensors, sensor.noise) if sensor.noise else 0.0
+            noise = declared_noise(experiment.sensors, sensor)
             found = check_sensor(trial.file, channel, rows.t, rows.values[i], noise, filled)
             values[i] = found[0]
             findings += found[1]
-        records.append(Record(trial, rows.t, values, channels))
+        records.append(Record(trial, rows.t, values, channels, pressure_limits(experiment)))
     return records, findings
 
 

@@ -124,7 +124,7 @@ def _compared(
 
 def order_by_phase(found: Tones, drives: Sequence[DeclaredDrive], orders: np.ndarray) -> int | None:
     """Returns the index of the order that the phases show; None if they are inconclusive."""
-    declared = np.array([x.phase for x in drives])
+    declared = np.array([x.lag for x in drives])
     x = _compared(found.lag, declared, orders, lambda lag: np.abs(wrapped(lag)))
     others = x.apart >= APART
     if not others.any() or not (x.off[x.best] < CLEAR * x.off[others]).all():

@@ -179,7 +179,7 @@ def _wrong_phase(
     for j, r in enumerate(records):
         tones = chamber_tones(r)
         if tones is not None:
-            declared = np.array([x.phase for x in drives[j]])
+            declared = np.array([x.lag for x in drives[j]])
             lag = wrapped(tones.lag - tones.lag[0] - declared)
             off[j] = lag / (r.trial.frequency or 1.0)
     found = {}

@@ -74,7 +74,7 @@ def is_tiny(r: Record, pressure: np.ndarray) -> bool:
 
 def drives_of(r: Record) -> tuple[DeclaredDrive, ...] | None:
     """Returns the `declared_drives` of a record's trial."""
-    return declared_drives(r.trial, len(r.channels.pressures))
+    return declared_drives(r.trial, len(r.channels.pressures), r.limits)
 
 
 def driven_chambers(records: Sequence[Record]) -> list[tuple[DeclaredDrive, ...]]:

@@ -10,13 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from slider_jax.actuation import waves_along
+from slider_jax.actuation import rear_of
 from slider_jax.experiment.schema import Trial
 
 TIME_CONSTANTS = np.geomspace(0.02, 0.5, 14)
 """Candidate time constants of the lag [s]."""
 DELAYS = np.linspace(-0.01, 0.11, 13)
 """Candidate delays of the pressure behind the lag's response [s]."""
+LONGEST_LEAD = 5.0
+"""Largest considered time [s] of a drive before the trial's time 0. Every lag then has settled."""
 SETTLED = 0.5
 """Time [s] after the drive's start. The phases of later cycles do not depend on the start."""
 TWO_CYCLE_ERROR = 2e-3
@@ -26,16 +28,29 @@ MAX_SAMPLES = 300
 
 
 class DeclaredDrive(NamedTuple):
-    """Declared set pressure of a chamber: frequency [Hz], amplitude [Pa], phase, rise [periods]."""
+    """Declared set pressure of a chamber: frequency [Hz], amplitude [Pa], phase, rise [periods].
+
+    The set pressure is the wave plus the `bias` [Pa], limited to the range from `low` to `high`
+    [Pa]. The drive starts `lead` [s] before the trial's time 0.
+    """
 
     waveform: str
     frequency: float
     amplitude: float
     phase: float
     rise: float
+    bias: float = 0.0
+    low: float = -np.inf
+    high: float = np.inf
+    lead: float = 0.0
+
+    @property
+    def lag(self) -> float:
+        """Phase of the fundamental [periods]: half a period more if the amplitude is negative."""
+        return self.phase + (0.5 if self.amplitude < 0.0 else 0.0)
 
     def unit(self, t: np.ndarray) -> np.ndarray:
-        """Returns the set pressure divided by its amplitude at `t` (n,) [s]; 0 for t < 0."""
+        """Returns the set pressure divided by its amplitude at `t` (n,) [s]; 0 before the start."""
         turn = self.frequency * t - self.phase
         if self.waveform == "sine":
             value = np.sin(2.0 * np.pi * turn)
@@ -45,20 +60,36 @@ class DeclaredDrive(NamedTuple):
             from_edge = turn - np.round(2.0 * turn) / 2.0
             sign = np.where(np.round(2.0 * turn) % 2 == 0, 1.0, -1.0)
             value = sign * np.clip(from_edge / (0.5 * self.rise), -1.0, 1.0)
-        return np.where(t < 0.0, 0.0, value)
+        limited = np.clip(self.amplitude * value + self.bias, self.low, self.high)
+        return np.where(t < -self.lead, 0.0, limited / self.amplitude)
 
 
-def declared_drives(trial: Trial, chambers: int) -> tuple[DeclaredDrive, ...] | None:
-    """Returns the drive of each chamber; None if a drive is zero, or if the drives are recorded."""
-    f, amplitude = trial.frequency, trial.amplitude
+def declared_drives(
+    trial: Trial, chambers: int, limits: Sequence[tuple[float, float]] | None = None
+) -> tuple[DeclaredDrive, ...] | None:
+    """Returns the drive of each chamber; None if a drive is zero, or if the drives are recorded.
+
+    `limits` are the lowest and the highest set pressure [Pa] of each chamber (default: none).
+    """
+    f, amplitude, rear = trial.frequency, trial.amplitude, rear_of(chambers)
     if trial.waveform == "recorded" or not f or not amplitude:
         return None
-
-    def drive(amplitude, phase):
-        return DeclaredDrive(trial.waveform, f, float(amplitude), float(phase), trial.rise)
-
-    last = amplitude * trial.rear_ratio
-    drives = waves_along(drive, chambers, amplitude, last, trial.phase)
+    ratios = trial.ratios or [(1.0 - r) + r * trial.rear_ratio for r in rear]
+    phases = trial.phases or [r * trial.phase for r in rear]
+    each = zip(
+        ratios,
+        phases,
+        trial.biases or [0.0] * chambers,
+        limits or [(-np.inf, np.inf)] * chambers,
+        strict=True,
+    )
+    lead = min(trial.lead, LONGEST_LEAD)
+    drives = tuple(
+        DeclaredDrive(
+            trial.waveform, f, float(amplitude * ratio), float(phase), trial.rise, bias, *ends, lead
+        )
+        for ratio, phase, bias, ends in each
+    )
     return drives if drives and all(x.amplitude for x in drives) else None
 
 
@@ -67,7 +98,7 @@ def _lag_responses(
 ) -> tuple[np.ndarray, list[np.ndarray]]:
     """Returns times (n,) [s] and the lag's response (n,) to a unit drive for each time constant."""
     spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
-    t = spacing * np.arange(int(np.ceil(duration / spacing)) + 2)
+    t = spacing * np.arange(int(np.ceil((duration + drive.lead) / spacing)) + 2) - drive.lead
     set_point, keep = drive.unit(t + 0.5 * spacing), np.exp(-spacing / time_constants)
     responses = [lfilter([1.0 - share], [1.0, -share], set_point)[:-1] for share in keep]
     return t, [np.r_[0.0, after] for after in responses]

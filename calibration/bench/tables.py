@@ -163,6 +163,8 @@ def _pressure(folder: Path, x: PressureTable, robot: RobotTable) -> Shapes:
     path = folder / x.file
     channels = channels_of([x.name for x in robot.own_chambers])
     names = [channels[x].column for x in channels.pressures]
+    if not names:
+        raise InputError(f"{path}: the robot has no chamber; add front_chamber or rear_chamber")
     columns = read_table(path, (*names, "tip_m"))
     p = np.stack([columns[x] for x in names], axis=1)
     tip = columns["tip_m"]

@@ -18,7 +18,7 @@ import numpy as np
 from calibration.inference.cache import Memo, cached, cached_each
 from calibration.inference.gauss_newton import difference_step, takes_differences
 from calibration.inference.noise import Noise, Whitener, channel_noise
-from calibration.measurements.records import Record, load_records
+from calibration.measurements.records import Record, declared_noise, load_records
 from calibration.model.compiled import on_all_cores
 from calibration.model.extended import BASE, Parameter, base_vector, model_parameters
 from calibration.model.initial_swing import declared_swing_spans
@@ -72,7 +72,6 @@ class SensorModel:
         noise, every = {}, {}
         for channel, sensor in experiment.channels.items():
             recorded = [r for r in found if r.has(channel)]
-            key = sensor.noise
             if recorded:
                 each = [
                     fitted.get((r.trial.file, channel))
@@ -84,7 +83,7 @@ class SensorModel:
                 noise[channel] = each[middle]._replace(white=whites[middle])
                 share = np.mean([r.there(channel).mean() for r in recorded])
                 every[channel] = max(1, round(1.0 / float(share)))
-            elif not found and key and getattr(experiment.sensors, key) > 0.0:
+            elif not found and declared_noise(experiment.sensors, sensor) > 0.0:
                 noise[channel] = channel_noise(experiment.sensors, sensor, np.zeros(2))
                 every[channel] = 1
         if not noise:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import norm
 
 from calibration.inference.noise import Noise, channel_noise, quantisation_step, signal_shares
-from calibration.measurements.records import Record
+from calibration.measurements.records import Record, declared_noise
 from slider_jax.channels import Channel
 from slider_jax.experiment.schema import SensorsTable
 
@@ -107,8 +107,7 @@ def _channel_noise(sensors: SensorsTable, channel: Channel, records: list[Record
     """Returns the noise of one channel, which all `records` contain."""
     series = [r.values[r.row(channel.name)][r.there(channel.name)] for r in records]
     expected = float(np.median([channel_noise(sensors, channel, x).white for x in series]))
-    key = channel.noise
-    declared = expected if key and getattr(sensors, key) > 0.0 else None
+    declared = expected if declared_noise(sensors, channel) > 0.0 else None
     lags = [_stride(r, channel.name) for r in records]
     repeated = [x[n:] - x[:-n] for x, n in zip(series, lags, strict=True) if 0 < n < len(x)]
     best, *others = [_pooled(series, order, HIGH_BAND) for order in ORDERS]

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import cholesky, eigh, solve_triangular, toeplitz
 
 from calibration.inference.intervals import noise_floor
+from calibration.measurements.records import declared_noise
 from slider_jax.channels import Channel
 from slider_jax.experiment.schema import SensorsTable
 
@@ -77,8 +78,7 @@ def channel_noise(sensors: SensorsTable, channel: Channel, values: np.ndarray) -
     If the experiment declares no white noise, the white noise is estimated from the measured
     `values` (n,). The declared white noise of a pressure is increased by the quantisation noise.
     """
-    key, kind = channel.noise, channel.kind
-    white = getattr(sensors, key) if key else 0.0
+    kind, white = channel.kind, declared_noise(sensors, channel)
     there = values[np.isfinite(values)]
     if white == 0.0:
         white = max(noise_floor(there), 1e-9 * max(float(np.ptp(there)), 1e-12))

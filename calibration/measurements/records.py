@@ -5,10 +5,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from slider_jax.channels import ChannelSet
+from slider_jax.channels import Channel, ChannelSet
 from slider_jax.errors import InputError
+from slider_jax.experiment.drive import pressure_limits
 from slider_jax.experiment.load import Experiment, read_measured
-from slider_jax.experiment.schema import Trial
+from slider_jax.experiment.schema import SensorsTable, Trial
 
 Action = Literal["masked", "mended", "left out", "used", "refused"]
 
@@ -23,6 +24,8 @@ class Record:
     values: np.ndarray
     """Readings (channels, n) in SI units, in the order of `channels`. A missing reading is NaN."""
     channels: ChannelSet
+    limits: tuple[tuple[float, float], ...] | None = None
+    """Lowest and highest set pressure [Pa] of each chamber. None: no limits."""
 
     def row(self, channel: str) -> int:
         """Returns the row of `channel` in arrays of readings."""
@@ -42,6 +45,11 @@ class Record:
         return int(self.there(channel).sum()) >= 20
 
 
+def declared_noise(sensors: SensorsTable, channel: Channel) -> float:
+    """Returns the declared standard deviation of a channel's white noise; 0 if none is declared."""
+    return getattr(sensors, channel.noise) if channel.noise else channel.white
+
+
 def load_records(experiment: Experiment) -> list[Record]:
     """Returns all trials with a file. Raises `InputError` if no file exists or one is damaged."""
     found, channels = [], experiment.channels
@@ -52,7 +60,7 @@ def load_records(experiment: Experiment) -> list[Record]:
         n = len(columns["t_s"])
         missing = np.full(n, np.nan)
         values = np.stack([columns.get(c.column, missing) for c in channels.values()])
-        found.append(Record(trial, columns["t_s"], values, channels))
+        found.append(Record(trial, columns["t_s"], values, channels, pressure_limits(experiment)))
     if not found:
         raise InputError(
             f"{experiment.folder}: no file of the {len(experiment.trials)} trials "

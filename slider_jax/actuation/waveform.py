@@ -6,7 +6,6 @@ The commands of other actuators are waveforms too, in the units of these actuato
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,8 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.beam.parameters import Scalar
-
-Wave = TypeVar("Wave")
 
 
 def rear_of(chambers: int) -> np.ndarray:
@@ -27,12 +24,12 @@ def rear_of(chambers: int) -> np.ndarray:
 
 
 def waves_along(
-    wave: Callable[[Scalar, Scalar], Wave],
+    wave: Callable[[Scalar, Scalar], "Waveform"],
     chambers: int,
     first: Scalar,
     last: Scalar,
     phase: Scalar,
-) -> tuple[Wave, ...]:
+) -> tuple["Waveform", ...]:
     """Returns `wave(amplitude, phase)` for each chamber.
 
     From the first chamber to the last, the amplitude [Pa] changes linearly from `first` to `last`,

@@ -80,15 +80,19 @@ def _recorded(table: ExperimentTable, trial: Trial, folder: Path) -> tuple[Recor
     columns = _recording(trial, folder, names)
     for name in names:
         check_pascal(folder / str(trial.drive_file), columns, (name,))
-    limits = [_limits(x) for x in table.chambers] if trial.drive_is == "set" else None
     series = [columns[name] for name in names]
-    if limits is not None:
+    if trial.drive_is == "set":
+        limits = pressure_limits(table)
         series = [np.clip(x, *limit) for x, limit in zip(series, limits, strict=True)]
     return tuple(Recorded(jnp.asarray(columns[TIME]), jnp.asarray(x)) for x in series)
 
 
+def pressure_limits(table: ExperimentTable) -> tuple[tuple[float, float], ...]:
+    """Returns the lowest and the highest set pressure [Pa] of each chamber or pair of chambers."""
+    return tuple(_limits(x) for x in table.chambers)
+
+
 def _limits(chamber: ChamberTable) -> tuple[float, float]:
-    """Returns the lowest and the highest set pressure [Pa] of a chamber or pair of chambers."""
     limit = chamber.limit or inf
     return -limit if chamber.acts_on("right") else 0.0, limit if chamber.acts_on("left") else 0.0
 
@@ -125,7 +129,7 @@ def _limited(
     """Returns the waves with the trial's biases, cut at the limits of the chambers."""
     if trial.biases is not None:
         waves = tuple(Biased(x, bias) for x, bias in zip(waves, trial.biases, strict=True))
-    limits = [_limits(x) for x in table.chambers]
+    limits = pressure_limits(table)
     if all(x == (-inf, inf) for x in limits):
         return waves
     return tuple(Clipped(x, *limit) for x, limit in zip(waves, limits, strict=True))
