@@ -50,10 +50,10 @@ def test_a_uniform_field_of_a_file_acts_like_the_stream(tmp_path):
 
 
 def test_a_swimmer_is_carried_by_the_stream_and_disturbed_by_the_street(tmp_path):
-    """A robot without drive ends within 1 % at the velocity of the stream; not so in the street."""
+    """The robot has no drive. Tolerance 0.01 m/s; the wake on its axis is more than 0.1 m/s slower."""
     idle = ("amplitude = 150000.0", "amplitude = 0.0")
     drag = '[[effects]]\nname = "tangential_friction"\nC_t = 3.0\n'
-    longer = ("duration = 0.75", "duration = 4.0")
+    longer = ("duration = 0.75", "duration = 1.2")
     path = experiment(tmp_path, f"{STREET % KEYS}{drag}", idle, longer)
     calm = load(path).with_values({"water.vortex_street.circulation": 0.0})
     for each, same in ((calm, True), (load(path), False)):
@@ -61,9 +61,9 @@ def test_a_swimmer_is_carried_by_the_stream_and_disturbed_by_the_street(tmp_path
         assert swum.head.shape == (len(swum.t), 2)
         travelled = np.trapezoid(swum.velocity[:, 0], swum.t)
         np.testing.assert_allclose(swum.head[-1, 0] - swum.head[0, 0], travelled, atol=2e-2)
-        off = np.abs(swum.velocity[-1] - [-0.3, 0.0]).max()
         print(f"velocity {swum.velocity[-1]}, water {swum.water[-1]}")
-        assert (off < 3e-3) == same
+        off = np.abs(swum.velocity[-1] - [-0.3, 0.0]).max()
+        assert off < 0.01 if same else off > 0.1
     with pytest.raises(InputError, match="water: given a velocity field; .*swim_in_water"):
         to_swimmer(to_model(load(path)))
 
