@@ -50,7 +50,7 @@ def test_a_uniform_field_of_a_file_acts_like_the_stream(tmp_path):
 
 
 def test_a_swimmer_is_carried_by_the_stream_and_disturbed_by_the_street(tmp_path):
-    """The robot has no drive. Tolerance 0.01 m/s; the wake on its axis is more than 0.1 m/s slower."""
+    """Without a drive. Tolerance 0.01 m/s; the wake on the axis is more than 0.1 m/s slower."""
     idle = ("amplitude = 150000.0", "amplitude = 0.0")
     drag = '[[effects]]\nname = "tangential_friction"\nC_t = 3.0\n'
     longer = ("duration = 0.75", "duration = 1.2")
