@@ -211,7 +211,8 @@ tank, m |
     | `speed` | forward speed of the head in the tank, m/s |
 
     `noise` is the standard deviation of the white noise in the unit of the reading; with 0, the
-    noise is estimated from the data. `gain` and `discrepancy` are as in table [sensors].
+    noise is estimated from the data. `tare` is the standard deviation of an offset that is constant
+    in a trial. `gain` and `discrepancy` are as in table [sensors].
     """
 
     kind: Literal[
@@ -223,6 +224,7 @@ tank, m |
     actuator: Name | None = None
     s: Length | None = None
     noise: Annotated[float, Quantity(0.0, 1e5)] = 0.0
+    tare: Annotated[float, Quantity(0.0, 1e5)] = 0.0
     gain: Share | None = None
     discrepancy: Share | None = None
 
