@@ -15,6 +15,7 @@ _HOME = {
     "Drive": "dynamics.model",
     "FirstOrderLag": "actuation",
     "Free": "supports",
+    "GriddedField": "water",
     "Gravity": "effects",
     "Ideal": "actuation",
     "InputError": "errors",
@@ -32,6 +33,8 @@ _HOME = {
     "SquareWave": "actuation",
     "TimeGrid": "dynamics.rollout",
     "Trapezoid": "actuation",
+    "VortexStreet": "water",
+    "WaterField": "water",
     "enable_float64": "precision",
 }
 

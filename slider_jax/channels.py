@@ -57,8 +57,11 @@ class Channel:
     white: float = 0.0
     """Standard deviation of the white noise, in `unit`, of a channel without the key `noise`. If 0,
     the noise is estimated from the data."""
-    start: Callable[[np.ndarray], float] = lambda midline: 0.0
-    """Returns the reading at t = 0 from the midline (2, nodes) [m]; not used for pressures."""
+    tare: float = 0.0
+    """Standard deviation, in `unit`, of an offset that is constant in a trial."""
+    start: Callable[[np.ndarray], float] | None = lambda midline: 0.0
+    """Returns the reading at t = 0 from the midline (2, nodes) [m]; not used for pressures. If None,
+    the reading is extrapolated from the next readings."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,11 @@ class ChannelSet(Mapping[str, Channel]):
     def columns(self) -> tuple[str, ...]:
         """The columns of a measured or simulated CSV file: the time and all channels."""
         return TIME, *(x.column for x in self.members)
+
+    @property
+    def without_start(self) -> tuple[str, ...]:
+        """Names of the channels whose reading at t = 0 is extrapolated from the next readings."""
+        return tuple(x.name for x in self.members if x.start is None)
 
     @property
     def pressures(self) -> tuple[str, ...]:

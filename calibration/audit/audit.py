@@ -20,7 +20,8 @@ from calibration.audit.sensors import check_sensor
 from calibration.audit.time_stamps import regular_rows
 from calibration.measurements.records import Finding, Record, declared_noise
 from slider_jax.errors import InputError
-from slider_jax.experiment.load import Experiment, pressure_limits
+from slider_jax.experiment.drive import pressure_limits
+from slider_jax.experiment.load import Experiment
 
 MAX_LISTED = 5
 """Largest number of findings that an error message lists."""

@@ -85,15 +85,15 @@ def channel_noise(sensors: SensorsTable, channel: Channel, values: np.ndarray) -
     elif kind == "pressure":
         white = float(np.hypot(white, quantisation_step(there) / np.sqrt(12.0)))
     gain, discrepancy = signal_shares(sensors, channel)
-    noise = Noise(white, gain=gain, discrepancy=discrepancy)
+    noise = Noise(white, tare=channel.tare, gain=gain, discrepancy=discrepancy)
     if kind == "camera":
         # A robot that still swings at the start is not at rest, so the tip's tare has an error.
-        return noise._replace(tare=sensors.start_swing)
+        return noise._replace(tare=float(np.hypot(channel.tare, sensors.start_swing)))
     if kind == "force":
         return noise._replace(
             slow=sensors.force_slow_noise,
             slow_time=sensors.force_slow_time,
-            tare=sensors.force_tare,
+            tare=float(np.hypot(channel.tare, sensors.force_tare)),
         )
     return noise
 

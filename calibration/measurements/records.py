@@ -7,7 +7,8 @@ import numpy as np
 
 from slider_jax.channels import Channel, ChannelSet
 from slider_jax.errors import InputError
-from slider_jax.experiment.load import Experiment, pressure_limits, read_measured
+from slider_jax.experiment.drive import pressure_limits
+from slider_jax.experiment.load import Experiment, read_measured
 from slider_jax.experiment.schema import SensorsTable, Trial
 
 Action = Literal["masked", "mended", "left out", "used", "refused"]

@@ -157,6 +157,12 @@ def sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray) -> np.ndarray
     return found
 
 
+def extrapolate_start(channels: ChannelSet, series: np.ndarray) -> None:
+    """Sets the first readings in `series` (..., n, channels) of channels without a known start."""
+    rows = channels.rows(channels.without_start)
+    series[..., 0, rows] = 2.0 * series[..., 1, rows] - series[..., 2, rows]
+
+
 def with_pressures(channels: ChannelSet, p: np.ndarray) -> np.ndarray:
     """Returns readings (..., channels) with the pressures `p` (..., chambers).
 

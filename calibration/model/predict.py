@@ -18,6 +18,7 @@ from calibration.model.plan import (
     BLOCK,
     TrialPlan,
     extended_grid,
+    extrapolate_start,
     first_block,
     padded,
     sample_grid,
@@ -251,6 +252,7 @@ def _simulate_bodies(jobs: Sequence[_BodyJob]) -> list[BodySeries]:
     channels = first.extended.channels
     start = with_pressures(channels, np.stack([x.history.p[:1] for x in jobs]))
     series = np.concatenate([start, *parts], axis=1)
+    extrapolate_start(channels, series)
     failed_at = np.asarray(carry.failed_at)
     return [BodySeries(series[i], float(failed_at[i])) for i in range(len(jobs))]
 

@@ -25,6 +25,7 @@ from calibration.model.plan import (
     BLOCK,
     TrialPlan,
     at_samples,
+    extrapolate_start,
     first_block,
     padded,
     stage_times,
@@ -202,6 +203,9 @@ def _ideal_tangents(
         return None, ((carry, d_carry), pressures)
 
     run_chunks(advance, (state, pressures), p.grid.steps, BLOCK)
+    extrapolate_start(p.extended.channels, series)
+    if initial is None:
+        extrapolate_start(p.extended.channels, d_series)
     return series, d_series
 
 

@@ -1,10 +1,10 @@
 """Tables of the actuators, and of the sensors beyond the built-in ones."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from slider_jax.experiment.tables import FROM_LIST, Length, Name, Share, Span, Table, fail
+from slider_jax.experiment.tables import FROM_LIST, FileName, Length, Name, Share, Span, Table, fail
 from slider_jax.io.units import Quantity
 
 Ratio = Annotated[float, Quantity(0.01, 100.0)]
@@ -29,33 +29,163 @@ class ChamberTable(Table):
         """Whether the actuator has a chamber on this side of the body."""
         return self.side in ("both", side)
 
-    def overlaps(self, other: "ChamberTable") -> bool:
-        """Whether both actuators have a chamber on the same side at the same place."""
-        near, far = max(self.span[0], other.span[0]), min(self.span[1], other.span[1])
-        sides = any(self.acts_on(x) and other.acts_on(x) for x in ("left", "right"))
-        return sides and near < far * (1.0 - 1e-9)
+
+Phase = Annotated[float, Quantity(-1.0, 1.0, "fraction of a period")]
+Offset = Annotated[float, Quantity(-0.5, 0.5, "m")]
+ENDS = BeforeValidator(lambda x: (x, x) if isinstance(x, (int, float)) else x)
 
 
-def check_chambers(chambers: tuple[ChamberTable, ...], body: float) -> None:
-    """Raises an error if the chambers do not fit a robot whose body has the length `body` [m]."""
-    for i, x in enumerate(chambers):
-        here, before = f"actuators.{i}", chambers[:i]
+class TendonTable(Table):
+    """[[actuators]]: a tendon at the `offset` from the axis; a positive offset is on the left.
+
+    The motor pulls with a `tension`, or it pulls in a length (`pull`) of a tendon with a
+    `stiffness`. The command is bias + effort amplitude wave(t), with the trial's waveform and
+    `effort`. A recorded drive has the column NAME_N or NAME_m.
+    """
+
+    kind: Literal["tendon"]
+    name: Name
+    span: Span
+    offset: Annotated[tuple[Offset, Offset], FROM_LIST, ENDS]
+    tension: Annotated[float, Quantity(0.0, 1e4, "N")] | None = None
+    pull: Annotated[float, Quantity(-0.5, 0.5, "m")] | None = None
+    stiffness: Annotated[float, Quantity(1.0, 1e8, "N/m")] | None = None
+    pushes: Annotated[bool, Field(strict=True)] = False
+    phase: Phase = 0.0
+    bias: Annotated[float, Quantity(-1e4, 1e4, "N or m")] = 0.0
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude of the tension [N] or of the pulled length [m]."""
+        return self.tension if self.tension is not None else self.pull or 0.0
+
+    @property
+    def column(self) -> str:
+        """Column of the command in a recorded drive."""
+        return f"{self.name}_{'N' if self.pull is None else 'm'}"
+
+    @model_validator(mode="after")
+    def _is_driven_in_one_way(self) -> Self:
+        if (self.tension is None) == (self.pull is None):
+            both = "tension and pull" if self.pull is not None else "nothing"
+            fail("tension", both, "either tension or pull")
+        if (self.pull is None) != (self.stiffness is None):
+            text = "nothing" if self.stiffness is None else f"{self.stiffness:g}"
+            fail("stiffness", text, "a stiffness in N/m with the key pull, otherwise nothing")
+        if self.pushes and self.pull is None:
+            fail("pushes", "true", "true only with the key pull")
+        return self
+
+
+class MomentTable(Table):
+    """[[actuators]]: a moment from a measured table of commands and curvatures.
+
+    The command is bias + effort amplitude wave(t), in the unit of the table. A recorded drive has
+    the column NAME.
+    """
+
+    kind: Literal["moment"]
+    name: Name
+    span: Span
+    table: FileName
+    amplitude: Annotated[float, Quantity(-1e9, 1e9)] = 1.0
+    phase: Phase = 0.0
+    bias: Annotated[float, Quantity(-1e9, 1e9)] = 0.0
+
+    @property
+    def column(self) -> str:
+        """Column of the command in a recorded drive."""
+        return self.name
+
+
+Curvature = Annotated[float, Quantity(-1000.0, 1000.0)]
+
+
+class ShapeTable(Table):
+    """[[actuators]]: the body follows a curvature, whatever moment is necessary.
+
+    The curvature is a wave with the trial's frequency, or samples in the CSV file `file`.
+    """
+
+    kind: Literal["shape"]
+    name: Name
+    span: Span
+    wavelength: Annotated[float, Quantity(-100.0, 100.0, "m")] | None = None
+    amplitude: Annotated[tuple[Curvature, Curvature, Curvature], FROM_LIST] | None = None
+    phase: Phase = 0.0
+    bias: Curvature = 0.0
+    file: FileName | None = None
+
+    @model_validator(mode="after")
+    def _has_one_source(self) -> Self:
+        for name in ("wavelength", "amplitude"):
+            given = getattr(self, name)
+            if (given is None) == (self.file is None):
+                text = "nothing" if given is None else given
+                fail(name, text, "a value without the key file, nothing with it")
+        if self.wavelength == 0.0:
+            fail("wavelength", 0.0, "a length other than 0")
+        return self
+
+
+ActuatorTable = ChamberTable | TendonTable | MomentTable | ShapeTable
+TABLES: dict[str, type[ActuatorTable]] = {
+    "pneumatic": ChamberTable,
+    "tendon": TendonTable,
+    "moment": MomentTable,
+    "shape": ShapeTable,
+}
+
+
+def _of_kind(given: Any) -> Any:
+    """Returns the table of an actuator's kind, so that errors name only the keys of this kind."""
+    if not isinstance(given, dict):
+        return given
+    kind = given.get("kind")
+    table = TABLES.get(kind) if isinstance(kind, str) else None
+    if table is None:
+        fail("kind", "nothing" if kind is None else repr(kind), ", ".join(TABLES))
+    return table.model_validate(given)
+
+
+AnyActuator = Annotated[ActuatorTable, BeforeValidator(_of_kind)]
+
+
+def check_actuators(actuators: tuple[ActuatorTable, ...], body: float, length: float) -> None:
+    """Raises an error if the actuators do not fit a robot.
+
+    `body` and `length` are the lengths [m] of the body and of the robot.
+    """
+    last: ChamberTable | None = None
+    for i, x in enumerate(actuators):
+        here, before = f"actuators.{i}", actuators[:i]
         near, far = x.span
+        most, what = (body, "body") if isinstance(x, ChamberTable) else (length, "robot")
         if near >= far:
             fail(f"{here}.span", list(x.span), "[near, far] with near < far, from the head")
-        if far > body * (1.0 + 1e-9):
-            fail(f"{here}.span", list(x.span), f"spans within the body, 0 to {body:g} m")
+        if far > most * (1.0 + 1e-9):
+            fail(f"{here}.span", list(x.span), f"spans within the {what}, 0 to {most:g} m")
         if x.name in [y.name for y in before]:
             fail(f"{here}.name", repr(x.name), "a name that no other actuator has")
-        other = next((y for y in before if x.overlaps(y)), None)
+        other = next((y for y in before if _overlap(x, y)), None)
         if other is not None:
             allowed = f"a span outside of {list(other.span)}, the span of {other.name}"
             fail(f"{here}.span", list(x.span), allowed)
-        if before and near < before[-1].span[0]:
-            allowed = (
-                f"a near end of at least {before[-1].span[0]:g} m: list actuators from the head"
-            )
-            fail(f"{here}.span", list(x.span), allowed)
+        if isinstance(x, ChamberTable):
+            if last is not None and near < last.span[0]:
+                allowed = f"a near end of at least {last.span[0]:g} m: list chambers from the head"
+                fail(f"{here}.span", list(x.span), allowed)
+            last = x
+
+
+def _overlap(x: ActuatorTable, y: ActuatorTable) -> bool:
+    """Whether two chambers on one side overlap, or a prescribed shape and another actuator."""
+    near, far = max(x.span[0], y.span[0]), min(x.span[1], y.span[1])
+    if isinstance(x, ChamberTable) and isinstance(y, ChamberTable):
+        alike = any(x.acts_on(side) and y.acts_on(side) for side in ("left", "right"))
+    else:
+        alike = isinstance(x, ShapeTable) or isinstance(y, ShapeTable)
+    return alike and near < far * (1.0 - 1e-9)
 
 
 Count = Annotated[tuple[str, ...], FROM_LIST, Field(min_length=1, max_length=2)]
@@ -81,7 +211,8 @@ tank, m |
     | `speed` | forward speed of the head in the tank, m/s |
 
     `noise` is the standard deviation of the white noise in the unit of the reading; with 0, the
-    noise is estimated from the data. `gain` and `discrepancy` are as in table [sensors].
+    noise is estimated from the data. `tare` is the standard deviation of an offset that is constant
+    in a trial. `gain` and `discrepancy` are as in table [sensors].
     """
 
     kind: Literal[
@@ -93,6 +224,7 @@ tank, m |
     actuator: Name | None = None
     s: Length | None = None
     noise: Annotated[float, Quantity(0.0, 1e5)] = 0.0
+    tare: Annotated[float, Quantity(0.0, 1e5)] = 0.0
     gain: Share | None = None
     discrepancy: Share | None = None
 

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import numpy as np
 from jaxtyping import Array
 
 from slider_jax import observables as obs
@@ -45,19 +44,6 @@ class CoordinateOf:
 
     def __call__(self, x: Snapshot) -> Array:
         return obs.point(x, self.place)[self.axis]
-
-
-@dataclass(frozen=True)
-class StartOf:
-    """Returns a marker's coordinate [m] from a midline (2, nodes) [m], tail first, at rest."""
-
-    place: float
-    axis: int
-
-    def __call__(self, midline: np.ndarray) -> float:
-        along = np.hypot(*np.diff(midline, axis=1))
-        distance = np.concatenate([np.cumsum(along[::-1])[::-1], [0.0]])
-        return float(np.interp(self.place, distance[::-1], midline[self.axis, ::-1]))
 
 
 READINGS: dict[str, Callable[[Snapshot, float], Array]] = {
@@ -102,6 +88,7 @@ def _with_errors(channel: Channel, table: ChannelTable) -> Channel:
     gain, discrepancy = table.gain, table.discrepancy
     return replace(
         channel,
+        tare=table.tare,
         gain=channel.gain if gain is None else gain,
         discrepancy=channel.discrepancy if discrepancy is None else discrepancy,
     )
@@ -113,19 +100,18 @@ def _added(table: ChannelTable) -> Iterator[Channel]:
     unit, plot_unit, factor, sensor, discrepancy = KINDS[table.kind]
     for axis, column in enumerate(table.columns):
         both = len(table.columns) == 2
-        own, start = f"{name}_{'xy'[axis]}" if both else name, Channel.start
+        own = f"{name}_{'xy'[axis]}" if both else name
         observe: Callable[[Snapshot], Array]
         if table.s is None:
             observe = WHOLE[table.kind]
         elif both:
-            observe, start = CoordinateOf(table.s, axis), StartOf(table.s, axis)
+            observe = CoordinateOf(table.s, axis)
         else:
             observe = AtPlace(READINGS[table.kind], table.s)
-            start = StartOf(table.s, 1) if table.kind == "marker" else start
         yield _with_errors(
             Channel(
                 own, column, unit, own.replace("_", " "), plot_unit, factor, observe, sensor,
-                gain=0.005, discrepancy=discrepancy, white=table.noise, start=start,
+                gain=0.005, discrepancy=discrepancy, white=table.noise, start=None,
             ),
             table,
         )  # fmt: skip

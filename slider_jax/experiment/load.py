@@ -1,9 +1,7 @@
 """Reads an experiment (a TOML file and measured CSV files) and builds the models of the trials."""
 
-from collections.abc import Callable
 from dataclasses import fields
-from functools import partial
-from math import inf, isfinite
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -12,38 +10,25 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import PrivateAttr
 
-from slider_jax.actuation import (
-    Biased,
-    Clipped,
-    FirstOrderLag,
-    Ideal,
-    PressureLaw,
-    Recorded,
-    SineWave,
-    SquareWave,
-    Trapezoid,
-    Waveform,
-    rear_of,
-    waves_along,
-)
+from slider_jax.actuation import FirstOrderLag, Ideal, PressureLaw
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics, Robot, Scalar
 from slider_jax.channels import TIME, ChannelSet
-from slider_jax.dynamics.model import Drive, Model
+from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.time_schemes import SCHEMES, Scheme
 from slider_jax.effects import Effect, NormalDrag, ReactiveForce
 from slider_jax.effects.library import KNOWN_EFFECTS, LIBRARY
 from slider_jax.errors import InputError, did_you_mean
-from slider_jax.experiment.actuator_tables import ChamberTable
 from slider_jax.experiment.declared_channels import declared_channels
+from slider_jax.experiment.drive import actuators_of, drive_of
 from slider_jax.experiment.robot import robot_of
 from slider_jax.experiment.schema import EffectTable, ExperimentTable, ParametersTable, Trial
+from slider_jax.experiment.trial_water import water_of
 from slider_jax.io.csv import read_csv
 from slider_jax.io.files import input_files
 from slider_jax.io.toml import read_toml, validate
 from slider_jax.paper import force_coefficients
 from slider_jax.supports import Clamped, Free, Support
-from slider_jax.water import VortexStreet, WaterField, karman_speed, read_field
 
 
 class Experiment(ExperimentTable):
@@ -178,137 +163,6 @@ def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = Non
     return kind(**{key: x for key, x in (taken or {}).items() if key in known} | given)
 
 
-LONGEST_RECORD = 20.0
-"""Largest allowed duration of a recorded drive, divided by the duration of the trial."""
-
-
-def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> None:
-    """Raises `InputError` if the largest value in the columns `names` is implausible in Pa."""
-    largest = max(float(np.abs(columns[name]).max()) for name in names)
-    if largest > 2e6 or 0.0 < largest < 1e3:
-        raise InputError.value(
-            f"{path}, column {' and '.join(names)}",
-            f"a largest value of {largest:g}",
-            "0, or peaks of 1e3 to 2e6 Pa",
-            "pressures are in pascal, not kPa or psi",
-        )
-
-
-def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, ...]:
-    """Returns the recorded pressures of the chambers, checked for duration, spacing and unit."""
-    path = experiment.folder / str(trial.drive_file)
-    names = tuple(f"p_{name}_Pa" for name in experiment.chamber_names)
-    columns = read_csv(path, (TIME, *names))
-    times = columns[TIME]
-    spacing = np.diff(times)
-    if np.ptp(spacing) > 0.02 * spacing.mean():
-        worst = int(np.argmax(np.abs(spacing - np.median(spacing))))
-        raise InputError(
-            f"{path}: mixed sample rates: the spacing of t_s is {np.median(spacing):.6g} s, but "
-            f"{spacing[worst]:.6g} s after t_s = {times[worst]:g}; resample at one rate"
-        )
-    if times[-1] - times[0] > LONGEST_RECORD * trial.duration:
-        raise InputError(
-            f"{path}: t_s covers {times[0]:g} to {times[-1]:g}, but the trial {trial.file} lasts "
-            f"{trial.duration:g} s; t_s must be in seconds: divide milliseconds by 1000, or cut "
-            f"the recording to at most {LONGEST_RECORD:g} times the trial's duration"
-        )
-    if times[0] > spacing.mean() or times[-1] < trial.duration - 1.5 * spacing.mean():
-        raise InputError(
-            f"{path}: t_s covers {times[0]:g} to {times[-1]:g} s, but the trial {trial.file} lasts "
-            f"from 0 to {trial.duration:g} s; give a longer recording or a shorter duration"
-        )
-    for name in names:
-        check_pascal(path, columns, (name,))
-    series = [columns[name] for name in names]
-    if trial.drive_is == "set":
-        limits = pressure_limits(experiment)
-        series = [np.clip(x, *limit) for x, limit in zip(series, limits, strict=True)]
-    return tuple(Recorded(jnp.asarray(times), jnp.asarray(x)) for x in series)
-
-
-def pressure_limits(experiment: Experiment) -> tuple[tuple[float, float], ...]:
-    """Returns the lowest and the highest set pressure [Pa] of each chamber or pair of chambers."""
-    return tuple(_limits(x) for x in experiment.chambers)
-
-
-def _limits(chamber: ChamberTable) -> tuple[float, float]:
-    limit = chamber.limit or inf
-    return -limit if chamber.acts_on("right") else 0.0, limit if chamber.acts_on("left") else 0.0
-
-
-def _drive(experiment: Experiment, trial: Trial) -> Drive:
-    if trial.waveform == "recorded":
-        recorded = _recorded(experiment, trial)
-        if trial.drive_is == "measured":
-            start = jnp.stack([jnp.interp(0.0, x.times, x.values) for x in recorded])
-            return Drive(recorded, start)
-        return Drive(recorded, jnp.zeros(len(recorded)))
-    f, amplitude = trial.frequency, trial.amplitude
-    assert f is not None and amplitude is not None
-    kinds: dict[str, Callable[..., Waveform]] = {"square": SquareWave, "sine": SineWave}
-    kind = kinds.get(trial.waveform, partial(Trapezoid, rise=trial.rise))
-    count, wave = len(experiment.chambers), partial(kind, f)
-    waves = waves_along(wave, count, amplitude, amplitude * trial.rear_ratio, trial.phase)
-    if trial.ratios is not None or trial.phases is not None:
-        ratios = trial.ratios or [1.0 + r * (trial.rear_ratio - 1.0) for r in rear_of(count)]
-        delays = delays_of(experiment, trial)
-        waves = tuple(wave(amplitude * x, y) for x, y in zip(ratios, delays, strict=True))
-    return Drive(_limited(experiment, trial, waves), jnp.zeros(count))
-
-
-def delays_of(experiment: Experiment, trial: Trial) -> tuple[float, ...]:
-    """Returns the delay of each chamber's set pressure, as a fraction of a period."""
-    given = trial.phases
-    return given or tuple(float(r * trial.phase) for r in rear_of(len(experiment.chambers)))
-
-
-def _limited(
-    experiment: Experiment, trial: Trial, waves: tuple[Waveform, ...]
-) -> tuple[Waveform, ...]:
-    """Returns the waves with the trial's biases, cut at the limits of the chambers."""
-    if trial.biases is not None:
-        waves = tuple(Biased(x, bias) for x, bias in zip(waves, trial.biases, strict=True))
-    limits = pressure_limits(experiment)
-    if all(x == (-inf, inf) for x in limits):
-        return waves
-    return tuple(Clipped(x, *limit) for x, limit in zip(waves, limits, strict=True))
-
-
-def _water(experiment: Experiment, trial: Trial) -> tuple[float, float] | WaterField:
-    """Returns the water of a trial, checked for the time and the straight body's path."""
-    table = experiment.water
-    if table.vortex_street is not None:
-        values, stream = table.vortex_street.model_dump(), table.velocity
-        if values["advection"] is None:
-            of_speed = (values[name] for name in ("spacing", "circulation", "ratio"))
-            values["advection"] = stream[0] + karman_speed(*of_speed)
-        return VortexStreet(stream=stream, **values)
-    if table.field is None:
-        return table.velocity
-    path = experiment.folder / table.field
-    field = read_field(path)
-    duration = trial.lead + trial.duration
-    end = trial.tow_speed * duration
-    covered = {
-        "x_m": (min(end, 0.0) - sum(experiment.robot.lengths), max(end, 0.0)),
-        "y_m": (-trial.heave, trial.heave),
-    }
-    if not field.periodic:
-        covered["t_s"] = (0.0, duration)
-    for name, (low, high) in covered.items():
-        first, last = field.ends[name]
-        if first > low + 1e-9 or last < high - 1e-9:
-            what = (
-                "the duration" if name == "t_s" else "the path of the straight robot, and a margin"
-            )
-            raise InputError(
-                f"{path}: {name} covers {first:g} to {last:g}; allowed a field with {low:g} to "
-                f"{high:g}, {what} in {trial.file}; give a larger field"
-            )
-    return field
-
-
 def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
     """Returns the numerical settings and the time scheme of an experiment."""
     robot, numerics = experiment.robot, experiment.numerics
@@ -353,9 +207,10 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
         robot=experiment.robot_model(),
         effects=(NormalDrag(C_d, density), ReactiveForce(m_a, density), *extra),
         pressure_law=law,
-        drive=_drive(experiment, trial),
+        drive=drive_of(experiment, trial, experiment.folder),
         support=_support(trial),
-        water=_water(experiment, trial),
+        water=water_of(experiment, trial, experiment.folder),
+        actuators=actuators_of(experiment, trial, experiment.folder),
     )
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 

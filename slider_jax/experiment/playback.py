@@ -15,7 +15,8 @@ import numpy as np
 from slider_jax.actuation import Held
 from slider_jax.dynamics.model import Drive
 from slider_jax.errors import InputError
-from slider_jax.experiment.load import Experiment, check_pascal
+from slider_jax.experiment.drive import check_pascal
+from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 from slider_jax.io.csv import read_csv
 

@@ -9,7 +9,8 @@ from slider_jax.beam.parameters import Numerics
 from slider_jax.channels import TIME, ChannelSet
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.time_schemes import Scheme
-from slider_jax.experiment.load import Experiment, delays_of, read_measured, to_model, to_numerics
+from slider_jax.experiment.drive import delays_of
+from slider_jax.experiment.load import Experiment, read_measured, to_model, to_numerics
 from slider_jax.experiment.playback import LONGEST_STEP, PlayedDrive, read_played
 from slider_jax.experiment.schema import Trial
 

@@ -12,7 +12,12 @@ from pydantic import (
     model_validator,
 )
 
-from slider_jax.experiment.actuator_tables import ChamberTable, ChannelTable, check_chambers
+from slider_jax.experiment.actuator_tables import (
+    AnyActuator,
+    ChamberTable,
+    ChannelTable,
+    check_actuators,
+)
 from slider_jax.experiment.tables import (
     FROM_LIST,
     BendingStiffness,
@@ -334,7 +339,7 @@ class Trial(Table):
     """[[trials]]: one trial. From the first to the last chamber, the amplitude changes linearly by
     the factor `rear_ratio`, and the delay changes linearly from 0 to `phase` periods. `ratios`,
     `phases` and `biases` give each chamber its own values instead. A recorded drive contains set or
-    measured pressures (`drive_is`).
+    measured pressures (`drive_is`). `effort` multiplies the amplitudes of all other actuators.
 
     With `support` "free", the robot swims freely. It starts straight with `start_speed` and
     `heading`. The drive runs for `lead_strides` strides before the trial's time 0."""
@@ -348,6 +353,7 @@ class Trial(Table):
     ratios: Ratios | None = None
     phases: Phases | None = None
     biases: Biases | None = None
+    effort: Annotated[float, Quantity(-10.0, 10.0)] = 1.0
     rise: Annotated[float, Quantity(0.001, 0.5, "fraction of a period")] = 0.1
     drive_file: FileName | None = None
     drive_is: Literal["set", "measured"] = "set"
@@ -374,9 +380,8 @@ class Trial(Table):
         for name, other in (("ratios", "rear_ratio"), ("phases", "phase")):
             if getattr(self, name) is not None and other in self.model_fields_set:
                 fail(other, getattr(self, other), f"nothing, because the trial has {name}")
-        for name in ("frequency", "amplitude"):
-            if getattr(self, name) is None:
-                fail(name, "nothing", f'a number, because waveform is "{self.waveform}"')
+        if self.frequency is None:
+            fail("frequency", "nothing", f'a number, because waveform is "{self.waveform}"')
         if self.drive_file is not None:
             fail("drive_file", repr(self.drive_file), 'only with waveform = "recorded"')
         return self
@@ -420,14 +425,15 @@ class ExperimentTable(Table):
     sensors: SensorsTable = SensorsTable()
     water: WaterTable = WaterTable()
     numerics: NumericsTable = NumericsTable()
-    actuators: Annotated[tuple[ChamberTable, ...], FROM_LIST] = ()
+    actuators: Annotated[tuple[AnyActuator, ...], FROM_LIST] = ()
     effects: Annotated[tuple[EffectTable, ...], FROM_LIST] = ()
     trials: Annotated[tuple[Trial, ...], FROM_LIST, Field(min_length=1)]
 
     @property
     def chambers(self) -> tuple[ChamberTable, ...]:
         """The air chambers, from the head to the tail."""
-        return self.actuators or self.robot.own_chambers
+        given = tuple(x for x in self.actuators if isinstance(x, ChamberTable))
+        return given or self.robot.own_chambers
 
     @property
     def chamber_names(self) -> tuple[str, ...]:
@@ -436,13 +442,14 @@ class ExperimentTable(Table):
 
     @model_validator(mode="after")
     def _actuators_fit_the_robot(self) -> Self:
+        listed = any(isinstance(x, ChamberTable) for x in self.actuators)
         for key in ("front_chamber", "rear_chamber"):
             span = getattr(self.robot, key)
-            if self.actuators and span is not None:
-                fail(
-                    f"robot.{key}", list(span), "nothing, because [[actuators]] lists all chambers"
-                )
-        check_chambers(self.actuators, self.robot.lengths[1])
+            if listed and span is not None:
+                allowed = "nothing, because [[actuators]] lists all chambers"
+                fail(f"robot.{key}", list(span), allowed)
+        tail, body = self.robot.lengths
+        check_actuators(self.actuators, body, tail + body)
         for i, trial in enumerate(self.trials):
             for key in ("ratios", "phases", "biases"):
                 given = getattr(trial, key)
@@ -450,6 +457,9 @@ class ExperimentTable(Table):
                     names = ", ".join(self.chamber_names) or "none"
                     allowed = f"one number for each chamber; chambers: {names}"
                     fail(f"trials.{i}.{key}", list(given), allowed)
+            if trial.amplitude is None and trial.waveform != "recorded" and self.chambers:
+                allowed = f'a number, because waveform is "{trial.waveform}"'
+                fail(f"trials.{i}.amplitude", "nothing", allowed)
             if trial.amplitude and not self.chambers:
                 fail(f"trials.{i}.amplitude", trial.amplitude, "0, as the robot has no chambers")
         return self

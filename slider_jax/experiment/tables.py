@@ -2,7 +2,7 @@
 
 import re
 from pathlib import PurePath
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
 from pydantic_core import PydanticCustomError
@@ -64,7 +64,7 @@ class Table(BaseModel):
         return TAG + cls.__name__
 
 
-def fail(where: str, given: Any, allowed: str) -> None:
+def fail(where: str, given: Any, allowed: str) -> NoReturn:
     """Raises a validation error for the key `where` of a table."""
     raise PydanticCustomError(
         "table",

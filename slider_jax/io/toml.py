@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar, get_origin
+from typing import Any, TypeVar, get_args, get_origin
 
 import tomlkit
 from pydantic import BaseModel, ValidationError
@@ -83,15 +83,20 @@ def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:
 
 
 def field_at(
-    table: type[BaseModel], location: Sequence[str | int]
+    table: type[BaseModel], location: Sequence[str | int], content: Any = None
 ) -> tuple[type[BaseModel], FieldInfo | None]:
     """Returns the innermost table and the field at a key such as ("trials", 0, "phase").
 
     If a field allows several tables, the location may contain the tag of one of them after the
-    field. Without a tag, it is the first table with the next key.
+    field. Without a tag, it is the table with the `kind` in the `content`, or the first table with
+    the next key.
     """
     field, tables = None, [table]
-    for part in map(str, location):
+    for key in location:
+        part = str(key)
+        if isinstance(content, dict) and "kind" in content:
+            tables = [x for x in tables if _is_kind(x, content["kind"])] or tables
+        content = _entry(content, key)
         if part.startswith(TAG):
             tables = [x for x in tables if part == x.tag()]  # type: ignore[attr-defined]
         elif not part.isdigit():
@@ -103,11 +108,30 @@ def field_at(
     return tables[0] if field else table, field
 
 
+def _is_kind(table: type[BaseModel], kind: Any) -> bool:
+    field = table.model_fields.get("kind")
+    return field is not None and kind in get_args(field.annotation)
+
+
+def _entry(content: Any, key: str | int) -> Any:
+    """Returns an entry of a table or list, or None. The tag of a table is no entry."""
+    if str(key).startswith(TAG):
+        return content
+    try:
+        return content[key]
+    except (KeyError, IndexError, TypeError):
+        return None
+
+
 def tables_in(field: FieldInfo) -> list[type[BaseModel]]:
     """Returns the tables that a field allows, itself or as entries of a list."""
-    inner = (field.annotation, *getattr(field.annotation, "__args__", ()))
-    kinds = [getattr(x, "__origin__", x) for x in inner]
-    return [x for x in kinds if isinstance(x, type) and issubclass(x, BaseModel)]
+    return _tables_of(field.annotation)
+
+
+def _tables_of(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [table for inner in get_args(annotation) for table in _tables_of(inner)]
 
 
 def quantity_of(field: FieldInfo | None) -> Quantity | None:
@@ -118,10 +142,10 @@ def quantity_of(field: FieldInfo | None) -> Quantity | None:
     return next((item for item in candidates if isinstance(item, Quantity)), None)
 
 
-def _message(table: type[BaseModel], error: Any) -> str:
+def _message(table: type[BaseModel], error: Any, content: Any) -> str:
     """Returns the message for one error of pydantic."""
     location = tuple(part for part in error["loc"] if not str(part).startswith("function-"))
-    owner, field = field_at(table, location)
+    owner, field = field_at(table, location, content)
     where = ".".join(str(part) for part in location if not str(part).startswith(TAG))
     quantity = quantity_of(field)
     kind, given = error["type"], repr(error["input"])
@@ -158,6 +182,6 @@ def validate(table: type[TableType], content: Any, source: str) -> TableType:
         errors = failure.errors(include_url=False)
         # A misspelt key is both unknown and missing; the error for the unknown key comes first.
         errors.sort(key=lambda error: error["type"] != "extra_forbidden")
-        messages = [_message(table, error) for error in errors]
+        messages = [_message(table, error, content) for error in errors]
         more = f" (number of other errors: {len(messages) - 1})" if len(messages) > 1 else ""
         raise InputError(f"{source}: {messages[0]}{more}") from None

@@ -55,7 +55,10 @@ class SavedSeries:
 
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
         """Returns the series' initial values for the `midline` (2, nodes) [m], without forces."""
-        values = {k: np.asarray(x.start(midline), float) for k, x in self.channels.items()}
+        values = {
+            name: np.asarray(x.start(midline) if x.start else 0.0, float)
+            for name, x in self.channels.items()
+        }
         pressures = self.channels.pressures
         start = np.broadcast_to(model.drive.start, len(pressures))
         values |= dict(zip(pressures, start, strict=True))
@@ -181,6 +184,8 @@ def simulate_prepared(
         name: np.concatenate([first[None], *(part[name] for part in parts)])[: grid.steps + 1]
         for name, first in save.start(model, np.asarray(line)).items()
     }
+    for name in prepared.channels.without_start:
+        series[name][0] = 2.0 * series[name][1] - series[name][2]
     t, at = grid.times, prepared.sample_times
     true = {name: jnp.asarray(series[name]) for name in prepared.channels}
     read = prepared.channels.recorded(model.effects, jnp.asarray(t), true)

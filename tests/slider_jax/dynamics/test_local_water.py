@@ -64,7 +64,10 @@ class _Motion(eqx.Module):
 # A uniform flow given in three ways.
 
 
-@pytest.mark.parametrize("support", [Clamped(tow_speed=0.1, heave=0.01, frequency=4.8), Free()])
+TOWED = Clamped(tow_speed=0.1, heave=0.01, frequency=4.8)
+
+
+@pytest.mark.parametrize("support", [Free(), pytest.param(TOWED, marks=pytest.mark.slow)])
 def test_uniform_water_as_function_or_grid_is_uniform_water(support):
     """With a current as an effect in addition. Tolerance 1e-8 of the largest value."""
     U, x = jnp.array([-0.35, 0.08]), np.linspace(-2.0, 2.0, 5)
@@ -124,6 +127,7 @@ def test_a_rigid_towed_body_in_shear_and_strain_has_the_force_of_potential_flow(
             assert np.abs(along[i, j]).max() < 1e-4 * np.abs(F_n).max()
 
 
+@pytest.mark.slow
 def test_a_head_drafts_between_the_rows_and_not_beside_them():
     """The mean drag of the head is that of the local speed. Tolerance 1e-3."""
     area, steps, places = 1e-3, 100, jnp.array([0.0, 0.6])
@@ -206,6 +210,7 @@ def test_a_pitching_foil_in_a_street_has_thrust_or_drag_by_its_phase():
     assert np.corrcoef(found, leaning)[0, 1] < -0.8
 
 
+@pytest.mark.slow
 def test_a_passive_body_is_pulled_upstream_in_the_street_by_its_own_bending():
     """Mean thrust <M^2>/(2 EI) - m <V_tip^2>/2, for any normal force. Tolerance 5 %.
 
@@ -328,6 +333,7 @@ def test_positions_keep_the_scheme_second_order(support):
     assert order(steps[:-1], errors) > 1.8
 
 
+@pytest.mark.slow
 def test_forces_are_differentiable_with_respect_to_the_street():
     @jax.jit
     def impulse(circulation):

@@ -143,7 +143,10 @@ CASES = {
     "unknown kind": (
         FRONT.replace("pneumatic", "hydraulic"), "actuators.0.kind: given 'hydraulic'; allowed",
     ),
-    "no kind": (FRONT.replace('kind = "pneumatic"\n', ""), "actuators.0.kind: missing"),
+    "no kind": (
+        FRONT.replace('kind = "pneumatic"\n', ""),
+        "actuators.0.kind: given nothing; allowed pneumatic",
+    ),
     "no span": (FRONT.replace("span = [0.02, 0.145]\n", ""), "actuators.0.span: missing"),
     "no name": (FRONT.replace('name = "front"\n', ""), "actuators.0.name: missing"),
     "unknown key": (
@@ -202,6 +205,147 @@ def test_wrong_actuators_are_one_clear_error(case, tmp_path):
     with pytest.raises(InputError) as caught:
         load(with_actuators(tmp_path, actuators))
     assert message in str(caught.value)
+
+
+def tendon(name, keys, offset="0.01"):
+    place = f"span = [0.05, 0.3]\noffset = {offset}\n"
+    return f'[[actuators]]\nkind = "tendon"\nname = "{name}"\n{place}{keys}\n'
+
+
+def shape(keys, span="[0.05, 0.25]"):
+    return f'[[actuators]]\nkind = "shape"\nname = "wave"\nspan = {span}\n{keys}\n'
+
+
+def moment(keys):
+    return f'[[actuators]]\nkind = "moment"\nname = "muscle"\nspan = [0.0, 0.3]\n{keys}\n'
+
+
+WAVE = "wavelength = 0.4\namplitude = [2.0, 0.0, 0.0]"
+OTHERS = {
+    "tendon without drive": (
+        tendon("t", ""), "actuators.0.tension: given nothing; allowed either tension or pull",
+    ),
+    "tendon with two drives": (
+        tendon("t", "tension = 1.0\npull = 0.01\nstiffness = 2e4"),
+        "actuators.0.tension: given tension and pull; allowed either tension or pull",
+    ),
+    "pull without stiffness": (
+        tendon("t", "pull = 0.01"),
+        "actuators.0.stiffness: given nothing; allowed a stiffness in N/m",
+    ),
+    "a tension that pushes": (
+        tendon("t", "tension = 1.0\npushes = true"),
+        "actuators.0.pushes: given true; allowed true only",
+    ),
+    "offset in millimetres": (
+        tendon("t", "tension = 1.0", "10.0"),
+        "actuators.0.offset.0: given 10.0; allowed -0.5 to 0.5 m",
+    ),
+    "three offsets": (tendon("t", "tension = 1.0", "[0.01, 0.01, 0.0]"), "actuators.0.offset"),
+    "key of another kind": (
+        tendon("t", "tension = 1.0\nlimit = 1e5"),
+        "actuators.0.limit: unknown key; allowed kind, name, span, offset",
+    ),
+    "tendon beyond the robot": (
+        tendon("t", "tension = 1.0").replace("0.3]", "0.4]"),
+        "actuators.0.span: given [0.05, 0.4]; allowed spans within the robot, 0 to 0.37 m",
+    ),
+    "shape without source": (
+        shape(""),
+        "actuators.0.wavelength: given nothing; allowed a value without",
+    ),
+    "shape with two sources": (
+        shape(f'{WAVE}\nfile = "a.csv"'),
+        "actuators.0.wavelength: given 0.4; allowed a value without",
+    ),
+    "zero wavelength": (
+        shape(WAVE.replace("0.4", "0.0")),
+        "actuators.0.wavelength: given 0.0; allowed a length other",
+    ),
+    "two amplitudes": (shape(WAVE.replace(", 0.0]", "]")), "actuators.0.amplitude"),
+    "shape over a tendon": (
+        tendon("t", "tension = 1.0") + shape(WAVE),
+        "actuators.1.span: given [0.05, 0.25]; allowed a span outside of [0.05, 0.3]",
+    ),
+    "moment without table": (moment(""), "actuators.0.table: missing"),
+    "table in another folder": (
+        moment('table = "../a.csv"'),
+        "actuators.0.table: given '../a.csv'; allowed a plain file name",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_wrong_tendons_moments_and_shapes_are_one_clear_error(case, tmp_path):
+    actuators, message = OTHERS[case]
+    with pytest.raises(InputError) as caught:
+        load(with_actuators(tmp_path, actuators, *IDLE))
+    assert message in str(caught.value)
+
+
+IDLE = ("amplitude = 150000.0\n", ""), ("amplitude = 250000.0\n", "")
+"""Changes of a robot without chambers: the trials have no pressure."""
+
+
+def test_a_robot_with_a_pair_of_tendons_swings(tmp_path):
+    """Two tendons in antiphase pull in turn, and the body bends to both sides alike."""
+    both = tendon("left", "tension = 1.0\nbias = 1.0") + tendon(
+        "right", "tension = 1.0\nbias = 1.0\nphase = 0.5", "-0.01"
+    )
+    sine = ("frequency = 4.0", 'waveform = "sine"\neffort = 2.0\nfrequency = 4.0')
+    experiment = load(with_actuators(tmp_path, both, *IDLE, sine))
+    left, right = to_model(experiment).actuators
+    t = np.asarray(0.0625)  # a quarter of a period
+    assert float(left.tension(0.0, t)) == pytest.approx(3.0)
+    assert float(right.tension(0.0, t)) == 0.0  # a negative tension is none
+    tip = simulate_trial(experiment).series["tip"]
+    assert tip.max() > 1e-3 and tip.min() < -1e-3
+
+
+def test_an_elastic_tendon_has_its_length_and_stiffness(tmp_path):
+    keys = "pull = 0.002\nstiffness = 2e4\npushes = true"
+    path = with_actuators(tmp_path, tendon("t", keys, "[0.01, 0.0]"), *IDLE)
+    (found,) = to_model(load(path)).actuators
+    assert float(found.tension(0.001, np.asarray(0.05))) == pytest.approx(2e4 * 0.003)
+    np.testing.assert_allclose(found.offset_at(np.array([0.05, 0.175, 0.3])), [0.01, 0.005, 0.0])
+
+
+def test_a_prescribed_wave_bends_the_body(tmp_path):
+    table = '[[sensors.channels]]\nkind = "curvature"\nname = "k"\ns = 0.15\ncolumns = ["k"]\n'
+    bend = ("[numerics]", f"{table}[numerics]")
+    changes = *IDLE, bend, ("nodes = 11", "nodes = 51")
+    path = with_actuators(tmp_path, shape(WAVE, "[0.0, 0.3]"), *changes)
+    run = simulate_trial(load(path))
+    expected = 2.0 * np.sin(2.0 * np.pi * (4.0 * run.t - 0.15 / 0.4))
+    np.testing.assert_allclose(run.series["k"][1:], expected[1:], atol=0.02)
+
+
+def test_a_shape_and_a_moment_from_files(tmp_path):
+    t, s = np.meshgrid(np.linspace(0.0, 1.0, 11), [0.0, 0.3], indexing="ij")
+    rows = np.stack([t.ravel(), s.ravel(), (t * s).ravel()], axis=1)
+    np.savetxt(
+        tmp_path / "shape.csv", rows, delimiter=",", header="t_s,s_m,curvature_per_m", comments=""
+    )
+    (found,) = to_model(
+        load(with_actuators(tmp_path, shape('file = "shape.csv"'), *IDLE))
+    ).actuators
+    curvature = found.curvature(np.array([0.1, 0.2]), np.asarray(0.55))
+    np.testing.assert_allclose(curvature, [0.055, 0.11], rtol=1e-6)
+    lines = (tmp_path / "shape.csv").read_text().splitlines()
+    (tmp_path / "shape.csv").write_text("\n".join(lines[:-1]))
+    with pytest.raises(
+        InputError, match=r"shape\.csv: given 21 rows with 11 x 2 values, without t_s"
+    ):
+        to_model(load(tmp_path / "experiment.toml"))
+
+    rows = np.stack([t.ravel(), (s / 0.3).ravel(), (t - 0.1 * s).ravel()], axis=1)
+    header = "command,curvature_per_m,moment_N_m"
+    np.savetxt(tmp_path / "muscle.csv", rows, delimiter=",", header=header, comments="")
+    muscle = moment('table = "muscle.csv"\namplitude = 0.5\nbias = 0.2')
+    path = with_actuators(tmp_path, muscle, *IDLE)
+    (found,) = to_model(load(path)).actuators
+    assert float(found.command.at(np.asarray(0.05))) == pytest.approx(0.7)
+    np.testing.assert_allclose(found.moments[7], [0.7, 0.67], rtol=1e-6)
 
 
 DRIVES = {

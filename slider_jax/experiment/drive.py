@@ -1,0 +1,213 @@
+"""Builds the drive of a trial: the waveforms of the chambers and of all other actuators."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import inf
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax.actuation import (
+    Actuator,
+    Biased,
+    Clipped,
+    LengthTendon,
+    MeasuredMoment,
+    Recorded,
+    SineWave,
+    SquareWave,
+    TensionTendon,
+    Trapezoid,
+    TravellingWave,
+    Waveform,
+    rear_of,
+    recorded_shape,
+    waves_along,
+)
+from slider_jax.channels import TIME
+from slider_jax.dynamics.model import Drive
+from slider_jax.errors import InputError
+from slider_jax.experiment.actuator_tables import ChamberTable, MomentTable, ShapeTable, TendonTable
+from slider_jax.experiment.schema import ExperimentTable, Trial
+from slider_jax.io.csv import read_csv, read_table
+
+LONGEST_RECORD = 20.0
+"""Largest allowed duration of a recorded drive, divided by the duration of the trial."""
+
+
+def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> None:
+    """Raises `InputError` if the largest value in the columns `names` is implausible in Pa."""
+    largest = max(float(np.abs(columns[name]).max()) for name in names)
+    if largest > 2e6 or 0.0 < largest < 1e3:
+        raise InputError.value(
+            f"{path}, column {' and '.join(names)}",
+            f"a largest value of {largest:g}",
+            "0, or peaks of 1e3 to 2e6 Pa",
+            "pressures are in pascal, not kPa or psi",
+        )
+
+
+def _recording(trial: Trial, folder: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Returns columns of a trial's recorded drive, checked for duration and spacing."""
+    path = folder / str(trial.drive_file)
+    columns = read_csv(path, (TIME, *names))
+    times = columns[TIME]
+    spacing = np.diff(times)
+    if np.ptp(spacing) > 0.02 * spacing.mean():
+        worst = int(np.argmax(np.abs(spacing - np.median(spacing))))
+        raise InputError(
+            f"{path}: mixed sample rates: the spacing of t_s is {np.median(spacing):.6g} s, but "
+            f"{spacing[worst]:.6g} s after t_s = {times[worst]:g}; resample at one rate"
+        )
+    if times[-1] - times[0] > LONGEST_RECORD * trial.duration:
+        raise InputError(
+            f"{path}: t_s covers {times[0]:g} to {times[-1]:g}, but the trial {trial.file} lasts "
+            f"{trial.duration:g} s; t_s must be in seconds: divide milliseconds by 1000, or cut "
+            f"the recording to at most {LONGEST_RECORD:g} times the trial's duration"
+        )
+    if times[0] > spacing.mean() or times[-1] < trial.duration - 1.5 * spacing.mean():
+        raise InputError(
+            f"{path}: t_s covers {times[0]:g} to {times[-1]:g} s, but the trial {trial.file} lasts "
+            f"from 0 to {trial.duration:g} s; give a longer recording or a shorter duration"
+        )
+    return columns
+
+
+def _recorded(table: ExperimentTable, trial: Trial, folder: Path) -> tuple[Recorded, ...]:
+    """Returns the recorded pressures of the chambers, cut at the limits of set pressures."""
+    names = tuple(f"p_{name}_Pa" for name in table.chamber_names)
+    columns = _recording(trial, folder, names)
+    for name in names:
+        check_pascal(folder / str(trial.drive_file), columns, (name,))
+    series = [columns[name] for name in names]
+    if trial.drive_is == "set":
+        limits = pressure_limits(table)
+        series = [np.clip(x, *limit) for x, limit in zip(series, limits, strict=True)]
+    return tuple(Recorded(jnp.asarray(columns[TIME]), jnp.asarray(x)) for x in series)
+
+
+def pressure_limits(table: ExperimentTable) -> tuple[tuple[float, float], ...]:
+    """Returns the lowest and the highest set pressure [Pa] of each chamber or pair of chambers."""
+    return tuple(_limits(x) for x in table.chambers)
+
+
+def _limits(chamber: ChamberTable) -> tuple[float, float]:
+    limit = chamber.limit or inf
+    return -limit if chamber.acts_on("right") else 0.0, limit if chamber.acts_on("left") else 0.0
+
+
+def drive_of(table: ExperimentTable, trial: Trial, folder: Path) -> Drive:
+    """Returns the drive of the chambers in a trial; `folder` contains a recorded drive.
+
+    Raises `InputError` if a recorded drive is invalid.
+    """
+    if trial.waveform == "recorded":
+        recorded = _recorded(table, trial, folder)
+        if trial.drive_is == "measured":
+            start = jnp.stack([jnp.interp(0.0, x.times, x.values) for x in recorded])
+            return Drive(recorded, start)
+        return Drive(recorded, jnp.zeros(len(recorded)))
+    count, wave, amplitude = len(table.chambers), _periodic(trial), trial.amplitude or 0.0
+    waves = waves_along(wave, count, amplitude, amplitude * trial.rear_ratio, trial.phase)
+    if trial.ratios is not None or trial.phases is not None:
+        ratios = trial.ratios or [1.0 + r * (trial.rear_ratio - 1.0) for r in rear_of(count)]
+        delays = delays_of(table, trial)
+        waves = tuple(wave(amplitude * x, y) for x, y in zip(ratios, delays, strict=True))
+    return Drive(_limited(table, trial, waves), jnp.zeros(count))
+
+
+def delays_of(table: ExperimentTable, trial: Trial) -> tuple[float, ...]:
+    """Returns the delay of each chamber's set pressure, as a fraction of a period."""
+    given = trial.phases
+    return given or tuple(float(r * trial.phase) for r in rear_of(len(table.chambers)))
+
+
+def _limited(
+    table: ExperimentTable, trial: Trial, waves: tuple[Waveform, ...]
+) -> tuple[Waveform, ...]:
+    """Returns the waves with the trial's biases, cut at the limits of the chambers."""
+    if trial.biases is not None:
+        waves = tuple(Biased(x, bias) for x, bias in zip(waves, trial.biases, strict=True))
+    limits = pressure_limits(table)
+    if all(x == (-inf, inf) for x in limits):
+        return waves
+    return tuple(Clipped(x, *limit) for x, limit in zip(waves, limits, strict=True))
+
+
+def _periodic(trial: Trial) -> Callable[..., Waveform]:
+    """Returns the trial's waveform as a function of amplitude and phase."""
+    kinds: dict[str, Callable[..., Waveform]] = {"square": SquareWave, "sine": SineWave}
+    kind = kinds.get(trial.waveform, partial(Trapezoid, rise=trial.rise))
+    return partial(kind, trial.frequency)
+
+
+def actuators_of(table: ExperimentTable, trial: Trial, folder: Path) -> tuple[Actuator, ...]:
+    """Returns all actuators except the chambers in a trial; `folder` contains their files.
+
+    Raises `InputError` if a file is invalid.
+    """
+    found: list[Actuator] = []
+    for x in table.actuators:
+        if isinstance(x, TendonTable):
+            found.append(_tendon(x, trial, folder))
+        elif isinstance(x, MomentTable):
+            found.append(_moment(x, trial, folder))
+        elif isinstance(x, ShapeTable):
+            found.append(_shape(x, trial, folder))
+    return tuple(found)
+
+
+def _command(x: TendonTable | MomentTable, trial: Trial, folder: Path) -> Waveform:
+    """Returns the waveform of an actuator's command."""
+    if trial.waveform == "recorded":
+        columns = _recording(trial, folder, (x.column,))
+        return Recorded(jnp.asarray(columns[TIME]), jnp.asarray(columns[x.column]))
+    return Biased(_periodic(trial)(trial.effort * x.amplitude, x.phase), x.bias)
+
+
+def _tendon(x: TendonTable, trial: Trial, folder: Path) -> Actuator:
+    span, command = (*x.span, x.offset), _command(x, trial, folder)
+    if x.stiffness is None:
+        return TensionTendon(*span, command)
+    return LengthTendon(*span, command, x.stiffness, x.pushes)
+
+
+def _moment(x: MomentTable, trial: Trial, folder: Path) -> Actuator:
+    grid = _grid(folder / x.table, "command", "curvature_per_m", "moment_N_m")
+    return MeasuredMoment(*x.span, _command(x, trial, folder), *map(jnp.asarray, grid))
+
+
+def _shape(x: ShapeTable, trial: Trial, folder: Path) -> Actuator:
+    if x.file is not None:
+        times, places, curvature = _grid(folder / x.file, TIME, "s_m", "curvature_per_m")
+        return recorded_shape(*x.span, places, times, trial.effort * curvature)
+    assert x.amplitude is not None and x.wavelength is not None
+    first, second, third = (trial.effort * a for a in x.amplitude)
+    return TravellingWave(
+        *x.span, trial.frequency or 0.0, x.wavelength, (first, second, third), x.phase, x.bias
+    )
+
+
+def _grid(path: Path, *names: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the grid of two quantities and the values (first, second) of a third quantity.
+
+    The file has one row for each point of the grid. Raises `InputError` if a point is missing.
+    """
+    columns = read_table(path, names)
+    (first, row), (second, column) = (
+        np.unique(columns[name], return_inverse=True) for name in names[:2]
+    )
+    values = np.full((len(first), len(second)), np.nan)
+    values[row, column] = columns[names[2]]
+    missing = np.argwhere(np.isnan(values))
+    if len(missing) or len(first) < 2 or len(second) < 2 or len(row) != values.size:
+        given = f"{len(row)} rows with {len(first)} x {len(second)} values"
+        if len(missing):
+            i, j = missing[0]
+            given += f", without {names[0]} = {first[i]:g} at {names[1]} = {second[j]:g}"
+        raise InputError(
+            f"{path}: given {given}; allowed one row for each pair of at least 2 values of "
+            f"{names[0]} and 2 values of {names[1]}; complete the table"
+        )
+    return first, second, values
