@@ -139,6 +139,7 @@ def _csv() -> list[str]:
     return [
         *lines,
         "",
+        "With `[[actuators]]`, each actuator NAME has a column `p_NAME_Pa`.",
         "A pressure is the difference between the two sides of a chamber, with the sign of the set",
         "pressure. Thrust is the axial force of the robot on its clamp, positive towards the head.",
         "Recoil is the lateral force of the robot on its clamp, positive to the robot's left. The",
@@ -155,10 +156,12 @@ def _csv() -> list[str]:
         "| `set_front_Pa` | Pa | set pressure of the front chamber |",
         "| `set_rear_Pa` | Pa | set pressure of the rear chamber |",
         "",
+        "With `[[actuators]]`, each actuator NAME has a column `set_NAME_Pa`.",
+        "",
         "## Recorded drive",
         "",
         "The trial's key `drive_file` names this CSV file. It has the columns `t_s`, `p_front_Pa`",
-        "and `p_rear_Pa`, with evenly spaced samples that cover the whole trial.",
+        "and `p_rear_Pa` (or `p_NAME_Pa` of each actuator), with evenly spaced samples that cover the whole trial.",
     ]
 
 
