@@ -141,7 +141,10 @@ def test_a_residual_below_the_floor_with_a_pattern_is_not_called_larger_than_noi
     outcome = SimpleNamespace(
         excess=excess,
         search=SimpleNamespace(settings=DEFAULT_SETTINGS),
-        problem=SimpleNamespace(records=[SimpleNamespace(trial=SimpleNamespace(file="a.csv"))]),
+        problem=SimpleNamespace(
+            records=[SimpleNamespace(trial=SimpleNamespace(file="a.csv"))],
+            all_channels=SLIDER_CHANNELS,
+        ),
         used_trials=[0],
     )
     assert residual_sentence(outcome) == (
@@ -226,7 +229,9 @@ def test_a_change_of_readings_that_were_not_measured_does_not_count():
     values[SLIDER_CHANNELS.row("tip"), :50] = 1.0
     trial = tank.experiment_of(FREQUENCIES).trials[0]
     problem = SimpleNamespace(
-        noise={(0, "tip"): None}, records=[Record(trial, np.arange(100.0), values, SLIDER_CHANNELS)]
+        noise={(0, "tip"): None},
+        all_channels=SLIDER_CHANNELS,
+        records=[Record(trial, np.arange(100.0), values, SLIDER_CHANNELS)],
     )
     before, after = np.ones((2, 1, len(SLIDER_CHANNELS), 100))
     after[:, SLIDER_CHANNELS.row("tip"), 50:] = 3.0
