@@ -86,7 +86,7 @@ class SlowClock(Command):
     title = "slow clock of the controller"
     size: Scalar = parameter(0.0, -0.05, 0.05, "-", WHY)
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Stretched(wave, self.size)
 
 
@@ -116,7 +116,7 @@ class RingingRegulator(Command):
     title = "regulator that rings after the start"
     size: Scalar = parameter(0.0, 0.0, 0.5, "-", WHY)
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Ringing(wave, self.size)
 
 
@@ -267,11 +267,10 @@ class MultiplexerMemory(Instrument):
     size: Scalar = parameter(0.0, 0.0, 0.2, "-", WHY)
 
     def read(self, true):
-        front, rear = true.p_front, true.p_rear
+        front, rear = true.pressures
         last = jnp.concatenate([rear[:1], rear[:-1]])
-        return true._replace(
-            p_front=front + self.size * (last - front), p_rear=rear + self.size * (front - rear)
-        )
+        ghosts = jnp.stack([last - front, front - rear])
+        return true._replace(pressures=true.pressures + self.size * ghosts)
 
 
 class RubbingGuide(Instrument):

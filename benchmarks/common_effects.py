@@ -293,7 +293,7 @@ class SharedCable(Instrument):
     size: Scalar = parameter(0.0, -0.15, 0.15, "-", WHY)
 
     def read(self, true):
-        return true._replace(p_rear=true.p_rear + self.size * true.p_front)
+        return true._replace(pressures=true.pressures.at[1].add(self.size * true.pressures[0]))
 
 
 class GuideFriction(Instrument):

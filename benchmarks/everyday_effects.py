@@ -153,7 +153,7 @@ class LabSlowSwitchOn(Command):
     title = "valves that switch later to one side"
     size: Scalar = parameter(0.0, 0.0, 0.04, "s", WHY)
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return _LateRise(wave, self.size)
 
 
@@ -318,8 +318,9 @@ class LabHoseDrop(Instrument):
     size: Scalar = parameter(0.0, 0.0, 8e-9, "s^2/Pa", WHY)
 
     def read(self, true):
-        slope = _slope(true.p_rear, true.t)
-        return true._replace(p_rear=true.p_rear + self.size * _size(slope, 1e5) * slope)
+        slope = _slope(true.pressures[1], true.t)
+        drop = self.size * _size(slope, 1e5) * slope
+        return true._replace(pressures=true.pressures.at[1].add(drop))
 
 
 class LabTiltingStrut(Instrument):

@@ -123,8 +123,8 @@ class CreepingDiaphragm(Command):
     title = "regulator of the rear chamber that creeps"
     size: Scalar = parameter(0.0, -0.7, 0.7, "-", WHY, physical=(-1.0, 1.0))
 
-    def command(self, wave, chamber):
-        return Relaxing(wave, self.size) if chamber == 1 else wave
+    def command(self, wave, rear):
+        return Relaxing(wave, self.size * rear)
 
 
 class TautCable(BendingMoment):
@@ -261,9 +261,9 @@ class StickyMembrane(Instrument):
             z = (z + change) / (1.0 + jnp.abs(change))
             return z, z
 
-        p = true.p_front
+        p = true.pressures[0]
         _, z = jax.lax.scan(stick, jnp.zeros_like(p[0]), jnp.diff(p, prepend=p[:1]) / 4e4)
-        return true._replace(p_front=p - self.size * z)
+        return true._replace(pressures=true.pressures.at[0].add(-self.size * z))
 
 
 class WanderingStamps(Instrument):

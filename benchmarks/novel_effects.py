@@ -97,7 +97,7 @@ class LateRelease(Command):
     title = "left valves that release late"
     size: Scalar = parameter(0.0, 0.0, 0.06, "s", WHY)
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Prolonged(wave, self.size)
 
 
@@ -225,7 +225,7 @@ class ExceededRange(Instrument):
         def saturated(p):
             return p - self.size * (above(p) - above(-p))
 
-        return true._replace(p_front=saturated(true.p_front), p_rear=saturated(true.p_rear))
+        return true._replace(pressures=saturated(true.pressures))
 
 
 class TiltingBalance(Instrument):

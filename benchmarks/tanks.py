@@ -132,7 +132,7 @@ def noisy_records(
     for trial, y in zip(tank.experiment.trials, true, strict=True):
         t = np.arange(y.shape[1]) / declared.sample_rate
         named = {"t_s": t} | {
-            SLIDER_CHANNELS[c].column: row for c, row in zip(SLIDER_CHANNELS, y, strict=True)
+            x.column: row for x, row in zip(SLIDER_CHANNELS.values(), y, strict=True)
         }
         if noise == "clock_skew":
             named |= {
@@ -153,11 +153,8 @@ def noisy_records(
                 noise == "camera_only" and channel.kind != "camera"
             ):
                 x[:] = np.nan
-        records.append(
-            Record(
-                trial, t, np.stack([columns[SLIDER_CHANNELS[c].column] for c in SLIDER_CHANNELS])
-            )
-        )
+        values = np.stack([columns[x] for x in SLIDER_CHANNELS.columns[1:]])
+        records.append(Record(trial, t, values, SLIDER_CHANNELS))
     return records
 
 

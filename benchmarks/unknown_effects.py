@@ -183,7 +183,7 @@ class WarmingSensor(Instrument):
 
     def read(self, true):
         gain = 1.0 + self.size * true.t
-        return true._replace(p_front=gain * true.p_front, p_rear=gain * true.p_rear)
+        return true._replace(pressures=gain * true.pressures)
 
 
 class Whereabouts(NamedTuple):

@@ -100,7 +100,7 @@ class BusyController(Command):
     title = "controller that loses and regains time"
     size: Scalar = parameter(0.0, -0.4, 0.4, "-", WHY, physical=(-0.9, 0.9))
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return Paced(wave, self.size)
 
 
@@ -244,9 +244,7 @@ class TapInTheHose(Instrument):
             rate = jnp.diff(p, prepend=p[:1]) / (1e6 * (true.t[1] - true.t[0]))
             return self.size * rate * jnp.abs(rate)
 
-        return true._replace(
-            p_front=true.p_front + loss(true.p_front), p_rear=true.p_rear + loss(true.p_rear)
-        )
+        return true._replace(pressures=true.pressures + jax.vmap(loss)(true.pressures))
 
 
 class BreathingLens(Instrument):

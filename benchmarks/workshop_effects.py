@@ -133,7 +133,7 @@ class ShopPumpPulsation(Command):
     title = "pulsation of the pump"
     size: Scalar = parameter(0.0, 0.0, 0.4, "-", WHY)
 
-    def command(self, wave, chamber):
+    def command(self, wave, rear):
         return _Pulsing(wave, self.size)
 
 
@@ -302,8 +302,8 @@ class ShopMultiplexerGhost(Instrument):
     size: Scalar = parameter(0.0, 0.0, 0.3, "-", WHY)
 
     def read(self, true):
-        ghost = self.size * (true.p_front - true.p_rear)
-        return true._replace(p_rear=true.p_rear + ghost)
+        ghost = self.size * (true.pressures[0] - true.pressures[1])
+        return true._replace(pressures=true.pressures.at[1].add(ghost))
 
 
 class ShopChargeDrain(Instrument):

@@ -35,7 +35,6 @@ import slider_jax as sj
 from calibration.identification.identify import identify_parameters, parameter_table
 from calibration.inference.uncertainty import confidence_interval, correlations, determined
 from calibration.model.plan import Resolution
-from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment import load as experiments
 
 sj.enable_float64()
@@ -74,7 +73,7 @@ print(parameter_table(found))
 # %%
 shown = int(np.argmax([len(r.t) for r in found.problem.records]))
 record = found.problem.records[shown]
-row = SLIDER_CHANNELS.row("thrust")
+row = record.row("thrust")
 here = record.t < 4.0 / (record.trial.frequency or 1.0)
 figure, axes = plt.subplots(2, 1, figsize=(9, 4.6), sharex=True, layout="constrained")
 axes[0].plot(record.t[here], record.values[row][here], ".", ms=2, color="0.6", label="measured")

@@ -123,5 +123,6 @@ def test_a_repeating_error_is_reported_and_is_no_missing_effect():
 )
 def test_a_repeating_error_within_its_own_error_is_not_stated(measured, used, declared, stated):
     found = {"thrust": Discrepancy(declared, 0.004, measured, used)}
-    outcome = SimpleNamespace(search=SimpleNamespace(measured=found))
+    problem = SimpleNamespace(all_channels=SLIDER_CHANNELS)
+    outcome = SimpleNamespace(search=SimpleNamespace(measured=found), problem=problem)
     assert bool(discrepancy_sentences(outcome)) == stated

@@ -13,6 +13,7 @@ from calibration.learning import learn
 from calibration.learning.learn import Dictionary, Learning
 from calibration.learning.pursuit import PlaceGain
 from calibration.model.extended import Parameter, model_parameters
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.effects import Prior
 from slider_jax.effects.library import DICTIONARY
 
@@ -174,7 +175,8 @@ def test_a_dictionary_of_details_keeps_the_fit_and_starts_details_at_their_null(
 def test_a_pressure_above_the_noise_floor_excludes_terms_of_forces(monkeypatch, channel, all_terms):
     above = {c: Excess(np.ones(1), 1.6 if c == channel else 1.4) for c in ("p_rear", "tip")}
     monkeypatch.setattr(learn, "channel_excess", lambda problem, fit: above)
-    terms = learn._possible_terms(None, None, DEFAULT_SETTINGS)
+    problem = SimpleNamespace(all_channels=SLIDER_CHANNELS)
+    terms = learn._possible_terms(problem, None, DEFAULT_SETTINGS)
     assert {"rear_opening", "pressure_reading_drift", "rear_set_pressure"} < set(terms)
     assert ("drag_along_robot" in terms) == ("tip_reading_delay" in terms) == all_terms
     assert all_terms == (terms == list(DICTIONARY))
