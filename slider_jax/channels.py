@@ -60,8 +60,8 @@ class Channel:
     tare: float = 0.0
     """Standard deviation, in `unit`, of an offset that is constant in a trial."""
     start: Callable[[np.ndarray], float] | None = lambda midline: 0.0
-    """Returns the reading at t = 0 from the midline (2, nodes) [m]; not used for pressures. If None,
-    the reading is extrapolated from the next readings."""
+    """Returns the reading at t = 0 from the midline (2, nodes) [m]; not used for pressures. With
+    None, the reading is extrapolated from the next readings."""
 
 
 @dataclass(frozen=True)

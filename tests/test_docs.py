@@ -71,7 +71,7 @@ def test_units_and_defaults_are_those_of_the_schema():
     for line in (
         "| `EI_body` | number | 0.0001 to 100 N m^2 | required | Bending stiffness of the body. |",
         "| `step` | number | 1e-05 to 0.02 s | `0.001` |",
-        "| `front_chamber` | array of 2 numbers | 0 to 3 m | required |",
+        "| `front_chamber` | array of 2 numbers | 0 to 3 m | none |",
         "| `markers` | integer | 2 to 50 | required |",
         "| `ring_down` | array of tables | at most 1 | none |",
     ):

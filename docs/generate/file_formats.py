@@ -13,6 +13,7 @@ from rig.cli.settings import RigTable
 from slider_jax.channels import SLIDER_CHANNELS, TIME
 from slider_jax.experiment.schema import ExperimentTable
 from slider_jax.io.toml import quantity_of, tables_in
+from slider_jax.io.units import Quantity
 
 PAGE = "reference/file_formats.md"
 KEYS = Path(__file__).with_name("file_keys.toml")
@@ -80,16 +81,13 @@ def _kind(annotation: Any) -> str:
     if inner and hasattr(annotation, "__metadata__"):
         return _kind(inner[0])
     if inner:
-        return " or ".join(_kind(x) for x in inner if x is not type(None))
+        return " or ".join(dict.fromkeys(_kind(x) for x in inner if x is not type(None)))
     return {float: "number", int: "integer", str: "string", bool: "boolean"}.get(annotation, "any")
 
 
 def _allowed(field: FieldInfo) -> str:
     """Returns the range and unit of a key."""
-    quantity = quantity_of(field)
-    for inner in get_args(field.annotation):
-        for item in getattr(inner, "__metadata__", ()):
-            quantity = quantity or (item if hasattr(item, "allowed") else None)
+    quantity = quantity_of(field) or _quantity_in(field.annotation)
     if quantity is not None:
         return quantity.allowed
     low = [x.ge for x in field.metadata if isinstance(x, Ge)]
@@ -100,6 +98,13 @@ def _allowed(field: FieldInfo) -> str:
     most = [x.max_length for x in field.metadata if isinstance(x, MaxLen)]
     limits = [f"at least {x}" for x in least] + [f"at most {x}" for x in most]
     return ", ".join(limits)
+
+
+def _quantity_in(annotation: Any) -> Quantity | None:
+    """Returns the unit and range of the numbers in an annotation, such as that of an array."""
+    found = [x for x in getattr(annotation, "__metadata__", ()) if isinstance(x, Quantity)]
+    found += [x for x in map(_quantity_in, get_args(annotation)) if x is not None]
+    return found[0] if found else None
 
 
 def _default(field: FieldInfo) -> str:
@@ -139,11 +144,12 @@ def _csv() -> list[str]:
     return [
         *lines,
         "",
-        "With `[[actuators]]`, each actuator NAME has a column `p_NAME_Pa`.",
         "A pressure is the difference between the two sides of a chamber, with the sign of the set",
         "pressure. Thrust is the axial force of the robot on its clamp, positive towards the head.",
         "Recoil is the lateral force of the robot on its clamp, positive to the robot's left. The",
-        "displacement of the tip is measured from the straight robot, positive to the left.",
+        "displacement of the tip is measured from the straight robot, positive to the left. These",
+        "are the columns of a robot with front and rear chamber. The tables `[[actuators]]` and",
+        "`[[sensors.channels]]` define the columns of other robots and sensors.",
         "",
         "## Played drive",
         "",
@@ -156,12 +162,14 @@ def _csv() -> list[str]:
         "| `set_front_Pa` | Pa | set pressure of the front chamber |",
         "| `set_rear_Pa` | Pa | set pressure of the rear chamber |",
         "",
-        "With `[[actuators]]`, each actuator NAME has a column `set_NAME_Pa`.",
+        "A robot with `[[actuators]]` has the column `set_NAME_Pa` for each chamber.",
         "",
         "## Recorded drive",
         "",
         "The trial's key `drive_file` names this CSV file. It has the columns `t_s`, `p_front_Pa`",
-        "and `p_rear_Pa` (or `p_NAME_Pa` of each actuator), with evenly spaced samples that cover the whole trial.",
+        "and `p_rear_Pa`, with evenly spaced samples that cover the whole trial. A robot with",
+        "`[[actuators]]` has the columns `p_NAME_Pa` of its chambers, and those of its tendons and",
+        "measured moments.",
     ]
 
 
