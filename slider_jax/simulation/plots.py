@@ -14,10 +14,10 @@ def run_title(run: TrialRun) -> str:
     if trial.waveform == "recorded":
         drive = f"recorded drive {trial.drive_file}"
     else:
-        drive = (
-            f"{trial.waveform} {trial.frequency:g} Hz, {1e-3 * (trial.amplitude or 0.0):g} kPa, "
-            f"rear {trial.rear_ratio:g} at {trial.phase:g} period"
-        )
+        drive = f"{trial.waveform} {trial.frequency:g} Hz"
+    if trial.amplitude:
+        drive += f", {1e-3 * trial.amplitude:g} kPa, rear {trial.rear_ratio:g} at {trial.phase:g}"
+        drive += " period"
     support = "free" if trial.support == "free" else f"tow {trial.tow_speed:g} m/s"
     return f"{Path(trial.file).stem}: {drive}, {support}"
 
@@ -33,12 +33,13 @@ def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None
 
 
 def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
-    """Plots all simulated channels against time; measured samples are grey."""
+    """Plots the simulated channels against time; measured samples are grey."""
     measured = run.prepared.measured or {}
-    channels = run.prepared.channels
+    free = run.trial.support == "free"  # nothing holds the head, so the forces on it are zero
+    channels = [x for x in run.prepared.channels.values() if not (free and x.kind == "force")]
     size = (9, 2.0 * len(channels))
     figure, axes = new_figure(len(channels), 1, figsize=size, sharex=True)
-    for ax, channel in zip(axes, channels.values(), strict=True):
+    for ax, channel in zip(axes, channels, strict=True):
         name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor
         ax.plot(run.columns["t_s"], factor * run.columns[name], "C0", lw=1.0, label="simulated")
         if name in rmse:
