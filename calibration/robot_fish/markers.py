@@ -80,7 +80,7 @@ def read_beats(path: Path) -> dict[str, float]:
     return {name: float(beat) for name, beat in beats.items()}
 
 
-def read_recording(path: Path, beat: float) -> MarkerRun:
+def read_marker_run(path: Path, beat: float) -> MarkerRun:
     """Returns the recording in a file NAME_lab.csv. Raises `InputError` for a damaged file."""
     columns = read_csv(path, ("t_s", *COLUMNS))
     t = columns["t_s"]
@@ -100,7 +100,7 @@ def read_recording(path: Path, beat: float) -> MarkerRun:
     return MarkerRun(path.name.removesuffix(SUFFIX), beat, t, markers * np.array([1.0, -1.0]))
 
 
-def read_recordings(folder: Path) -> list[MarkerRun]:
+def read_marker_runs(folder: Path) -> list[MarkerRun]:
     """Returns the recordings NAME_lab.csv of a folder, sorted by beat. Raises `InputError`."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give a folder with NAME{SUFFIX} files")
@@ -115,7 +115,7 @@ def read_recordings(folder: Path) -> list[MarkerRun]:
                 f"{folder / 'beats.json'}: no beat of {name}, but {path.name} exists; given "
                 f"{', '.join(beats)}; add the beat frequency of {name}"
             )
-    found = [read_recording(p, beats[p.name.removesuffix(SUFFIX)]) for p in paths]
+    found = [read_marker_run(p, beats[p.name.removesuffix(SUFFIX)]) for p in paths]
     return sorted(found, key=lambda x: x.beat)
 
 

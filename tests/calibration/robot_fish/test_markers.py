@@ -10,7 +10,7 @@ from calibration.robot_fish.markers import (
     behind_head,
     first_harmonic,
     lateral_motion,
-    read_recordings,
+    read_marker_runs,
     rotated,
     steady_speed_of,
 )
@@ -65,9 +65,9 @@ def test_the_published_speeds_and_rotated_markers(data):
     folder = data / "fishsim"
     if not folder.is_dir():
         pytest.skip("the robot fish is absent; set SLIDER_DATA to a folder with fishsim/")
-    speeds = {x.name: x.speed for x in read_recordings(folder)}
+    speeds = {x.name: x.speed for x in read_marker_runs(folder)}
     assert speeds == pytest.approx({"f1_00": 0.0809, "f1_75": 0.1613}, abs=5e-5)
-    for x in read_recordings(folder):
+    for x in read_marker_runs(folder):
         table = np.loadtxt(folder / f"{x.name}_rotated.csv", delimiter=",", skiprows=1)
         published = table[:, 1:].reshape(len(table), 9, 2)
         np.testing.assert_allclose(rotated(x.markers) * [1.0, -1.0], published, atol=5e-6)
@@ -78,7 +78,7 @@ def test_the_measured_recoil(data):
     folder = data / "fishsim"
     if not folder.is_dir():
         pytest.skip("the robot fish is absent; set SLIDER_DATA to a folder with fishsim/")
-    slow, fast = read_recordings(folder)
+    slow, fast = read_marker_runs(folder)
     for x, amplitudes, yaw in (
         (slow, (21.0, 16.0, 36.8, 49.6), 7.55),
         (fast, (12.7, 8.7, 25.8, 60.2), 5.99),
@@ -93,7 +93,7 @@ def test_other_files_are_refused_with_one_error(tmp_path):
 
     def error():
         with pytest.raises(InputError) as caught:
-            read_recordings(run)
+            read_marker_runs(run)
         return str(caught.value)
 
     assert "no such folder" in error()
