@@ -33,6 +33,10 @@ class Waveform(eqx.Module):
     def segment(self, t0: Array, t1: Array) -> Segment:
         """Returns the segment from `t0` to `t1` [s]. Subclasses state which segments are exact."""
 
+    def at(self, t: Array) -> Array:
+        """Returns the value at `t` [s]."""
+        return self.segment(t, t).b1
+
 
 def _continuous(value, t0, t_break, t1) -> Segment:
     t_break = jnp.clip(t_break, t0, t1)

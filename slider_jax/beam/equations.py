@@ -137,20 +137,25 @@ def section(
     )
 
 
+def moment_law(mid: Fields, x: Section, moment: Array) -> Float[Array, " cells"]:
+    """Returns the residual of the moment law; `moment` is M_extra - M_act [N m]."""
+    return mid.M - x.EI * (x.kappa + x.damping_time * x.kappa_t) - moment
+
+
 def equations(
-    mid: Fields, slope: Fields, x: Section, force: tuple[Array, Array], moment: Array
+    mid: Fields, slope: Fields, x: Section, force: tuple[Array, Array], bending: Array
 ) -> tuple[Float[Array, " cells"], ...]:
     """Returns the residuals of each cell's six equations, in the order of the module docstring.
 
-    `force` is (F_tau, F_n) [N/m]; `moment` is M_extra - M_act [N m].
+    `force` is (F_tau, F_n) [N/m]; `bending` is the residual of the moment law [N m], or of the
+    condition that replaces this law.
     """
     F_tau, F_n = force
     m, stretch = x.linear_density, 1.0 + x.strain
-    elastic = x.EI * (x.kappa + x.damping_time * x.kappa_t)
     return (
         x.strain_t - slope.V_tau + x.kappa * mid.V_n,
         stretch * x.omega - slope.V_n - x.kappa * mid.V_tau,
-        mid.M - elastic - moment,
+        bending,
         m * (x.V_tau_t - x.omega * mid.V_n) - slope.T + x.kappa * mid.N - stretch * F_tau,
         m * (x.V_n_t + x.omega * mid.V_tau) - slope.N - x.kappa * mid.T - stretch * F_n,
         slope.M + stretch * mid.N,

@@ -7,6 +7,7 @@ memory. In the body frame, tau points towards the head and n is tau rotated by +
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -63,6 +64,42 @@ def straight_state(
     zero = jnp.zeros_like(s)
     y = jnp.stack([zero, zero, zero, zero + V_tau, V_n + omega * (s - s[-1]), zero + phi])
     return y, Memory(motion=y[3:], strain=zero[1:], head=jnp.zeros(2), load=jnp.zeros(3))
+
+
+def curved_state(
+    grid: Grid,
+    V_tau,
+    V_n,
+    phi,
+    omega,
+    kappa: Float[Array, " cells"],
+    kappa_t: Float[Array, " cells"],
+) -> tuple[Unknowns, Memory]:
+    """Returns an unloaded state with the curvature `kappa` [1/m] and its rate `kappa_t` [1/(m s)].
+
+    (V_tau, V_n) [m/s], `phi` [rad] and `omega` [rad/s] are the motion of the head, which is at the
+    origin. The body is not stretched. The velocities satisfy the equations of stretch and turn.
+    """
+
+    def from_head(at_head, rate):
+        behind = jnp.cumsum((rate * grid.ds)[::-1])[::-1]
+        return at_head - jnp.concatenate([behind, jnp.zeros(1, behind.dtype)])
+
+    turning = from_head(omega, kappa_t)
+
+    def behind(right, cell):
+        half, turned = cell
+        p, q = right[0] - half * right[1], right[1] + half * right[0] - turned
+        left = jnp.stack([p - half * q, q + half * p]) / (1.0 + half**2)
+        return left, left
+
+    at_head = jnp.stack([jnp.asarray(V_tau, float), jnp.asarray(V_n, float)])
+    cells = 0.5 * kappa * grid.ds, grid.mid(turning) * grid.ds
+    _, velocities = jax.lax.scan(behind, at_head, cells, reverse=True)
+    velocities = jnp.concatenate([velocities, at_head[None]])
+    motion = jnp.concatenate([velocities.T, from_head(phi, kappa)[None]])
+    memory = Memory(motion, jnp.zeros_like(kappa), jnp.zeros(2), jnp.zeros(3))
+    return jnp.concatenate([jnp.zeros_like(motion), motion]), memory
 
 
 def to_body(vector, phi):

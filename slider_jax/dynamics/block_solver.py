@@ -25,21 +25,39 @@ import numpy as np
 from jaxtyping import Array, Float
 
 
+class Update(eqx.Module):
+    """The sum of the products column x row, as a part of a `BeamOperator`.
+
+    It adds sum_j columns_j (rows_j . y) to the cell equations.
+    """
+
+    columns: Float[Array, "n 6 cells"]
+    rows: Float[Array, "n 6 nodes"]
+
+    def weights(self, y) -> Float[Array, " n"]:
+        """Returns rows_j . y."""
+        return jnp.sum(self.rows * y, axis=(1, 2))
+
+
 class BeamOperator(lx.AbstractLinearOperator):
     """Jacobian of the box-method residual with respect to the nodal unknowns (6, N).
 
     `left`, `right` (6 rows, 6 unknowns, cells): derivatives of the cell equations with respect to
     the two nodes of the cell. `tail`, `head` (3 rows, 6 unknowns): derivatives of the boundary
-    conditions. Rows are in the order of `residual`: cells, tail, head.
+    conditions. Rows are in the order of `residual`: cells, tail, head. `update` is the part that
+    couples distant cells.
     """
 
     left: Float[Array, "6 6 cells"]
     right: Float[Array, "6 6 cells"]
     tail: Float[Array, "3 6"]
     head: Float[Array, "3 6"]
+    update: Update | None = None
 
     def mv(self, y):
         cells = jnp.sum(self.left * y[None, :, :-1] + self.right * y[None, :, 1:], axis=1)
+        if self.update is not None:
+            cells = cells + jnp.tensordot(self.update.weights(y), self.update.columns, 1)
         return cells, self.tail @ y[:, 0], self.head @ y[:, -1]
 
     def as_matrix(self):
@@ -238,6 +256,36 @@ def _solve(factors: _Factors, rhs):
     return jnp.concatenate([forces, motion])
 
 
+class _Updated(eqx.Module):
+    """A factorised Jacobian with an `Update`, by the Sherman-Morrison-Woodbury formula.
+
+    `solved` are the solutions for the columns of the update. `inverse` is (1 + rows . solved)^-1.
+    """
+
+    blocks: _Factors
+    update: Update
+    solved: Array
+    inverse: Array
+
+
+def _factorise_all(operator: BeamOperator) -> _Factors | _Updated:
+    blocks, update = _factorise(operator), operator.update
+    if update is None:
+        return blocks
+    none = jnp.zeros(3, operator.left.dtype)
+    solved = jax.vmap(lambda column: _solve(blocks, (column, none, none)))(update.columns)
+    products = jax.vmap(update.weights, out_axes=1)(solved)
+    inverse = jnp.linalg.inv(jnp.eye(len(solved), dtype=none.dtype) + products)
+    return _Updated(blocks, update, solved, inverse)
+
+
+def _solve_all(factors: _Factors | _Updated, rhs):
+    if isinstance(factors, _Factors):
+        return _solve(factors, rhs)
+    y = _solve(factors.blocks, rhs)
+    return y - jnp.tensordot(factors.inverse @ factors.update.weights(y), factors.solved, 1)
+
+
 class BeamSolver(lx.AbstractLinearSolver):
     """Direct solver for a `BeamOperator`: O(cells) operations in O(log cells) sequential levels.
 
@@ -246,15 +294,15 @@ class BeamSolver(lx.AbstractLinearSolver):
     """
 
     def init(self, operator, options):
-        return _factorise(operator), False
+        return _factorise_all(operator), False
 
     def compute(self, state, vector, options):
         factors, transposed = state
         if transposed:
             shape = jax.eval_shape(lambda y: (y[:, 1:], y[:3, 0], y[:3, 0]), vector)
-            (solution,) = jax.linear_transpose(lambda r: _solve(factors, r), shape)(vector)
+            (solution,) = jax.linear_transpose(lambda r: _solve_all(factors, r), shape)(vector)
         else:
-            solution = _solve(factors, vector)
+            solution = _solve_all(factors, vector)
         return solution, lx.RESULTS.successful, {}
 
     def transpose(self, state, options):

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.actuation import PressureLaw, Waveform, chamber_windows
+from slider_jax.actuation import Actuator, PressureLaw, Waveform, chamber_windows
 from slider_jax.beam.equations import Structure
 from slider_jax.beam.grid import Grid
 from slider_jax.beam.parameters import Numerics, Robot, Scalar, grid_of
@@ -34,6 +34,8 @@ class Model(eqx.Module):
     support: Support
     water: Float[Array, "2"] | tuple[Scalar, Scalar] = (0.0, 0.0)
     """Steady uniform velocity (U_x, U_y) [m/s] of the water."""
+    actuators: tuple[Actuator, ...] = ()
+    """Actuators in addition to the chambers."""
 
     @property
     def body(self) -> Robot:

@@ -5,9 +5,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.beam.equations import Reference, Section, Structure, equations, section
+from slider_jax.actuation import Actuator
+from slider_jax.beam.equations import Reference, Section, Structure, equations, moment_law, section
 from slider_jax.beam.state import Fields, Unknowns, fields
-from slider_jax.dynamics.block_solver import BeamOperator
+from slider_jax.dynamics.block_solver import BeamOperator, Update
+from slider_jax.dynamics.shapes import Shape
+from slider_jax.dynamics.tendons import couples, tendon_loads, tendons_of, tensions
 from slider_jax.effects import (
     MOUNT_LAG,
     BendingMoment,
@@ -37,19 +40,69 @@ class Stage(eqx.Module):
     active_moment: Float[Array, " cells"]
     water: Float[Array, "2 2"]
     t: Array
+    actuators: tuple[Actuator, ...] = ()
+    level: Array | None = None
+    """Factor of the loads of the actuators; None for 1."""
+    shape: Shape | None = None
 
 
 @eqx.filter_jit
-def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
+def cell_rows(
+    mid: Fields, slope: Fields, stage: Stage, tension: Array | None = None
+) -> tuple[Array, ...]:
     """Returns residuals of each cell's six equations from means and slopes of the unknowns.
 
+    `tension` (tendons,) [N] are the tensions from `tensions_of`.
     The function is compiled so that JAX traces it once, and not once for each of the tangents that
     form the Jacobian. A program with many effects then compiles faster.
     """
-    x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
+    x = _local(mid, slope, stage, tension)
     force = total_force(stage.effects, x)
     extra = sum((m for m, _ in internal_moments(x, stage)), jnp.zeros_like(mid.M))
-    return equations(mid, slope, x, force, extra - stage.active_moment)
+    if stage.actuators:
+        extra = extra - _active_moment(x, stage, tension)
+    bending = moment_law(mid, x, extra - stage.active_moment)
+    return equations(mid, slope, x, force, _with_shape(bending, x, stage))
+
+
+def _local(mid: Fields, slope: Fields, stage: Stage, tension: Array | None) -> Section:
+    """Returns the local state of the body; tendons compress the body."""
+    if tension is not None:
+        _, compression = tendon_loads(stage.actuators, tension, stage.structure)
+        mid = mid._replace(T=mid.T - compression)
+    return section(
+        mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t
+    )
+
+
+def _active_moment(x: Section, stage: Stage, tension: Array | None) -> Array:
+    """Returns the active moment [N m] (cells,) of the actuators without the chambers."""
+    moment = couples(stage.actuators, x)
+    if stage.level is not None:
+        moment = stage.level * moment
+    if tension is None:
+        return moment
+    return moment + tendon_loads(stage.actuators, tension, stage.structure)[0]
+
+
+def tensions_of(y: Unknowns, stage: Stage) -> Float[Array, " tendons"] | None:
+    """Returns the tensions [N] of the tendons, or None if there are no tendons."""
+    if not tendons_of(stage.actuators):
+        return None
+    mid, slope = mid_and_slope(y, stage.structure.ds)
+    found = tensions(stage.actuators, mid, slope, stage.structure, stage.reference, stage.t)
+    return found if stage.level is None else stage.level * found
+
+
+def _with_shape(bending: Array, x: Section, stage: Stage) -> Array:
+    """Returns the residual of the moment law, or of the prescribed curvature where there is one.
+
+    The factor gives both conditions the same derivative with respect to the curvature.
+    """
+    if stage.shape is None:
+        return bending
+    factor = x.EI * (stage.reference.dt + x.damping_time)
+    return jnp.where(stage.shape.cells, factor * (stage.shape.rate - x.kappa_t), bending)
 
 
 def internal_moments(x: Section, stage: Stage) -> list[tuple[Array, Array]]:
@@ -92,29 +145,31 @@ def mid_and_slope(y: Unknowns, ds) -> tuple[Fields, Fields]:
 
 def at_cells(y: Unknowns, stage: Stage) -> Section:
     """Returns the local state of the body in each cell."""
-    at = mid_and_slope(y, stage.structure.ds)
-    return section(*at, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
+    return _local(*mid_and_slope(y, stage.structure.ds), stage, tensions_of(y, stage))
 
 
 def residual(y: Unknowns, stage: Stage):
     """Returns the residuals ((6, cells), (3,), (3,)) of cells, tail and head."""
     mid, slope = mid_and_slope(y, stage.structure.ds)
-    return jnp.stack(cell_rows(mid, slope, stage)), tail_rows(y[:, 0]), head_rows(y[:, -1], stage)
+    cells = jnp.stack(cell_rows(mid, slope, stage, tensions_of(y, stage)))
+    return cells, tail_rows(y[:, 0]), head_rows(y[:, -1], stage)
 
 
 def jacobian(y: Unknowns, stage: Stage) -> BeamOperator:
     """Returns the blocks of d(residual)/dy.
 
     The equations of a cell depend on 12 values: the means and slopes of the six unknowns. The
-    values of other cells have no effect, so 12 forward tangents give all blocks of all cells.
+    values of other cells have no effect, so 12 forward tangents give all blocks of all cells. The
+    tensions of elastic tendons depend on all cells; see `tendons`.
     """
     mid, slope = mid_and_slope(y, stage.structure.ds)
+    tension = tensions_of(y, stage)
     values = (*mid, *slope)
 
     def derivative(i):
         def rows(v):
             moved = (*values[:i], v, *values[i + 1 :])
-            return cell_rows(Fields(*moved[:6]), Fields(*moved[6:]), stage)
+            return cell_rows(Fields(*moved[:6]), Fields(*moved[6:]), stage, tension)
 
         _, tangent = jax.jvp(rows, (values[i],), (jnp.ones_like(values[i]),))
         return jnp.stack(tangent)
@@ -126,4 +181,18 @@ def jacobian(y: Unknowns, stage: Stage) -> BeamOperator:
         right=to_mid + to_slope,
         tail=jax.jacfwd(tail_rows)(y[:, 0]),
         head=jax.jacfwd(head_rows)(y[:, -1], stage),
+        update=_through_tensions(y, stage),
     )
+
+
+def _through_tensions(y: Unknowns, stage: Stage) -> Update | None:
+    """Returns the part of the Jacobian that is due to the elongation of elastic tendons."""
+    if not any(tendon.elastic for tendon in tendons_of(stage.actuators)):
+        return None
+    mid, slope = mid_and_slope(y, stage.structure.ds)
+
+    def rows(tension):
+        return jnp.stack(cell_rows(mid, slope, stage, tension))
+
+    columns = jax.jacfwd(rows)(tensions_of(y, stage))
+    return Update(jnp.moveaxis(columns, -1, 0), jax.jacrev(tensions_of)(y, stage))

@@ -1,5 +1,6 @@
 """Static shapes of a clamped robot under chamber pressures and a constant force on the tail end."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,10 +13,11 @@ from slider_jax.beam.equations import Reference
 from slider_jax.beam.parameters import Numerics, Scalar, scales_of
 from slider_jax.beam.state import Memory, Unknowns, node_positions, to_body
 from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
-from slider_jax.dynamics.model import Model, make_mesh
+from slider_jax.dynamics.model import Mesh, Model, make_mesh
 from slider_jax.dynamics.newton import tangent_of
 from slider_jax.dynamics.pressures import start_chambers
-from slider_jax.dynamics.residual import Stage, jacobian, residual
+from slider_jax.dynamics.residual import Stage, at_cells, jacobian, residual
+from slider_jax.dynamics.shapes import Shape, has_shape, shape_at
 from slider_jax.dynamics.step import Carry, initial_carry
 from slider_jax.effects import BendingMoment, of_place
 
@@ -41,16 +43,20 @@ class AtRest(NamedTuple):
 
     y: Unknowns
     """Unknowns at the nodes; the velocities are of order 1/`LONG`."""
+    strain: Float[Array, " cells"]
     shape: Float[Array, "2 nodes"]
     """Node positions (x, y) [m] relative to the head, tail first."""
     ok: Bool[Array, ""]
     """Whether the Newton iteration converged."""
 
 
-def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -> AtRest:
+def at_rest_under(
+    model: Model, loads: Loads, numerics: Numerics = Numerics(), t: Scalar = 0.0
+) -> AtRest:
     """Returns the static state of a clamped `model` under `loads` in still water.
 
-    The drive of the model is ignored. All numbers in `model` and `loads` are differentiable.
+    The drive of the model is ignored. Its actuators keep their commands of the time `t` [s]. All
+    numbers in `model` and `loads` are differentiable.
     """
     mesh = make_mesh(model.body, numerics)
     zero = jnp.zeros_like(mesh.grid.ds)
@@ -65,19 +71,37 @@ def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -
         pressure=loads.pressure @ mesh.windows,
         active_moment=loads.pressure @ mesh.chambers,
         water=jnp.zeros((2, 2)),
-        t=jnp.asarray(0.0),
+        t=jnp.asarray(t, float),
+        actuators=model.actuators,
+        level=jnp.asarray(1.0) if model.actuators else None,
+        shape=_shape(model, mesh, t),
     )
     y, error = _equilibrium((stage, loads.force, scales_of(model.body)))
-    eps = mesh.grid.mid(y[0]) / mesh.structure.EA
+    eps = at_cells(y, stage).strain if model.actuators else mesh.grid.mid(y[0]) / mesh.structure.EA
     shape = node_positions(y[5], eps, jnp.zeros(2), mesh.grid)
-    return AtRest(y, shape, error < numerics.tolerance)
+    return AtRest(y, eps, shape, error < numerics.tolerance)
+
+
+def _shape(model: Model, mesh: Mesh, t: Scalar) -> Shape | None:
+    """Returns the rate that gives the prescribed curvature after the time `LONG`."""
+    if not has_shape(model.actuators):
+        return None
+    shape, kappa = shape_at(model.actuators, mesh.structure, jnp.asarray(t, float))
+    return replace(shape, rate=kappa / LONG)
+
+
+def _share_of(stage: Stage, share: Array) -> Stage:
+    """Returns the stage with a share of its active loads."""
+    part = replace(stage, active_moment=share * stage.active_moment)
+    if stage.shape is not None:
+        part = replace(part, shape=replace(stage.shape, rate=share * stage.shape.rate))
+    return part if stage.level is None else replace(part, level=share * stage.level)
 
 
 def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Carry:
     """Returns the carry that starts a rollout from the state `begin` when the tip is released."""
-    mesh = make_mesh(model.body, numerics)
     y = begin.y.at[3:5].set(0.0)
-    eps = mesh.grid.mid(y[0]) / mesh.structure.EA
+    eps = begin.strain
     internal = tuple(jnp.zeros_like(eps) for _ in of_place(model.effects, BendingMoment))
     memory = Memory(y[3:], eps, jnp.zeros(2), y[:3, -1], internal)
     return initial_carry(y, memory, start_chambers(model))
@@ -107,7 +131,7 @@ def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
 
     def correct(carry, share):
         y = carry[0]
-        part = eqx.tree_at(lambda s: s.active_moment, stage, share * stage.active_moment)
+        part = _share_of(stage, share)
         factors = solver.init(_loaded_jacobian(y, part, share * force), {})
         change, _, _ = solver.compute(factors, _loaded(y, part, share * force), {})
         error = jnp.max(jnp.abs(change) / jnp.maximum(scale, jnp.abs(y)))

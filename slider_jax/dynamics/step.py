@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, PyTree
 
-from slider_jax.beam.equations import Reference, Section, strain
+from slider_jax.beam.equations import Reference, Section
 from slider_jax.beam.parameters import Numerics, Scalar, grid_of, scales_of
-from slider_jax.beam.state import Memory, Unknowns, fields, straight_state, to_body
-from slider_jax.dynamics.model import Mesh, Model
+from slider_jax.beam.state import Memory, Unknowns, curved_state, fields, straight_state, to_body
+from slider_jax.dynamics.model import Mesh, Model, make_mesh
 from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
 from slider_jax.dynamics.pressures import Chambers, start_chambers
 from slider_jax.dynamics.residual import (
@@ -24,6 +24,7 @@ from slider_jax.dynamics.residual import (
     residual,
     turning_rate,
 )
+from slider_jax.dynamics.shapes import has_shape, shape_at, shape_in_step
 from slider_jax.dynamics.time_schemes import Scheme, extrapolation
 from slider_jax.effects import BendingMoment, of_place
 from slider_jax.supports import Support
@@ -96,7 +97,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     nodes, weights = jnp.asarray(scheme.nodes), jnp.asarray(scheme.weights)
 
     def run_stage(base, support, h, carry, stage_inputs):
-        t, weight, predictor, chambers = stage_inputs
+        t, weight, predictor, chambers, shape = stage_inputs
         reference = _blend(base, carry.memory, weight)
         dt = scheme.gamma * h
         stage = Stage(
@@ -110,6 +111,8 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             active_moment=chambers.acting @ mesh.chambers,
             water=jnp.stack(jax.jvp(model.water_velocity, (t,), (jnp.ones_like(t),))),
             t=t,
+            actuators=model.actuators,
+            shape=shape,
         )
         guess = jnp.tensordot(predictor, carry.history, 1)
         solution = optx.root_find(
@@ -125,16 +128,16 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         converged = solution.result == optx.RESULTS.successful
         ok = carry.ok & converged
         y = jnp.where(ok, solution.value, carry.history[-1])
-        head = fields(y[:, -1])
+        head, section = fields(y[:, -1]), at_cells(y, stage)
         omega = turning_rate(head, stage)
         anchor = _blend(_anchor(base, support, t), _anchor(carry.memory, support, t), weight)
         anchor = anchor + dt * support.anchor_velocity(head, omega, t)
         solved = Memory(
             motion=y[3:],
-            strain=strain(mesh.grid.mid(y[0]), mesh.structure, stage.reference),
+            strain=section.strain,
             head=anchor - support.anchor_offset(head.phi, t),
             load=reference.load + dt * load_rates(y[:, -1], stage),
-            internal=tuple(z for _, z in internal_moments(at_cells(y, stage), stage)),
+            internal=tuple(z for _, z in internal_moments(section, stage)),
         )
         memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), solved, carry.memory)
         new = Carry(
@@ -157,7 +160,8 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             inner, _ = state
             return one_stage(inner, stage_inputs), None
 
-        rows = (times, weights, predict, chambers)
+        shapes = shape_in_step(model.actuators, mesh.structure, scheme, t_start, h)
+        rows = (times, weights, predict, chambers, shapes)
         empty = jax.eval_shape(one_stage, carry, jax.tree.map(lambda x: x[0], rows))[1]
         placeholder = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), empty)
         (carry, stage), _ = jax.lax.scan(body, (carry, placeholder), rows)
@@ -168,12 +172,21 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
 
 
 def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
-    """Returns the carry of a straight unloaded body at rest relative to its support at `t0` [s]."""
+    """Returns the carry of an unloaded body at rest relative to its support at `t0` [s].
+
+    The body is straight, but it has the curvature and the motion that `PrescribedShape` actuators
+    prescribe.
+    """
     velocity, angle, rate = model.support.start(jnp.asarray(t0))
     V_tau, V_n = to_body(velocity, angle)
-    s = grid_of(model.body, numerics).s
-    y, memory = straight_state(s, V_tau, V_n, angle, rate)
-    internal = tuple(jnp.zeros_like(s[1:]) for _ in of_place(model.effects, BendingMoment))
+    if has_shape(model.actuators):
+        mesh = make_mesh(model.body, numerics)
+        shape, kappa = shape_at(model.actuators, mesh.structure, jnp.asarray(t0, float))
+        y, memory = curved_state(mesh.grid, V_tau, V_n, angle, rate, kappa, shape.rate)
+    else:
+        s = grid_of(model.body, numerics).s
+        y, memory = straight_state(s, V_tau, V_n, angle, rate)
+    internal = tuple(jnp.zeros_like(y[0, 1:]) for _ in of_place(model.effects, BendingMoment))
     memory = eqx.tree_at(lambda m: m.internal, memory, internal)
     return initial_carry(y, memory, start_chambers(model))
 
