@@ -6,6 +6,7 @@ of the data. Hinge i bends the strip between two plates; its stiffness is EI = k
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -191,6 +192,17 @@ class HingeShape(PrescribedShape):
         return self.angles(t) @ self.strips
 
 
+class RigidSpan(PrescribedShape):
+    """A span that stays straight.
+
+    The parabolic density of the head may be negative at some places. Only a head that cannot bend
+    at all is then stable.
+    """
+
+    def curvature(self, distance, t):
+        return 0.0 * distance
+
+
 class CrankPull(Waveform):
     """Length [m] by which a steadily turning crank pulls a tendon, relative to crank angle zero.
 
@@ -232,7 +244,7 @@ class RoutedTendon(Tendon):
     pull: Waveform
     stiffness: Scalar
 
-    elastic = True
+    elastic: ClassVar[bool] = True
 
     def offset_at(self, distance):
         return jnp.interp(distance, self.route, self.offsets)
@@ -284,8 +296,8 @@ def hinge_drive(
     )  # fmt: skip
 
 
-def tendon_drive(beat: Scalar, x: Parameters) -> tuple[RoutedTendon, RoutedTendon]:
-    """Returns the two tendons, whose motor turns once per beat."""
+def tendon_drive(beat: Scalar, x: Parameters) -> tuple[RigidSpan, RoutedTendon, RoutedTendon]:
+    """Returns the rigid head and the two tendons, whose motor turns once per beat."""
 
     def tendon(side, phase):
         return RoutedTendon(
@@ -298,4 +310,5 @@ def tendon_drive(beat: Scalar, x: Parameters) -> tuple[RoutedTendon, RoutedTendo
             stiffness=x.stiffness,
         )
 
-    return tendon(1.0, 0.0), tendon(-1.0, 0.5)
+    head = RigidSpan(0.0, STRIPS[0, 0] - NOSE)
+    return head, tendon(1.0, 0.0), tendon(-1.0, 0.5)

@@ -7,8 +7,8 @@ are first harmonics of the beat:
     theta(t) = Re((c_1 M_1 + c_2 M_2) exp(2 pi i f t))
 
 Marker 8 on the fin is reliable, and markers 5 to 7 are not. A prior for the ratio c_2/c_1, which
-is linear in f^2 as the water's load, makes the estimate possible from marker 8 alone. Markers 3 and 4
-are close behind a hinge and hardly move, so errors of the head's direction would dominate.
+is linear in f^2 as the water's load, makes the estimate possible from marker 8 alone. Markers 3 and
+4 are close behind a hinge and hardly move, so errors of the head's direction would dominate.
 """
 
 from dataclasses import dataclass

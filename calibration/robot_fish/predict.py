@@ -31,13 +31,13 @@ from slider_jax.errors import InputError, SolverError
 
 CALIBRATED_ON = ("f1_00", "f1_75")
 """The two runs of the data's folder that determine the free parameters."""
-WATER = ("area", "friction", "yaw_inertia")
+WATER = ("C", "area", "friction", "yaw_inertia")
 """Parameters that are fitted to speed and recoil with the measured tail."""
-START = Parameters(C=8.0, m_fin=0.53, area=0.06, friction=20.0, yaw_inertia=0.11, stiffness=1000.0)
-"""Fixed values of `C` and `m_fin`, and initial values of the fitted parameters. C = 8 is measured
-for plates (Graham 1980). m_fin = 0.53 is the lift slope of a wing of the fin's aspect ratio 5.5,
+START = Parameters(C=9.0, m_fin=0.53, area=0.1, friction=13.0, yaw_inertia=0.12, stiffness=1000.0)
+"""Fixed value of `m_fin`, and initial values of the fitted parameters. C = 8 is measured for plates
+(Graham 1980). m_fin = 0.53 is the lift slope of a wing of the fin's aspect ratio 5.5,
 2 pi/(1 + 2/5.5), over the slope pi/2 times 5.5 of slender-body theory."""
-SPEED_ERROR, AMPLITUDE_ERROR, PHASE_ERROR = 0.02, 0.1, 0.3
+SPEED_ERROR, AMPLITUDE_ERROR, PHASE_ERROR = 0.02, 0.1, 0.5
 """Relative errors of speed and amplitudes and error [rad] of phases; weights of the fit."""
 STROKE_ERROR = 0.02
 """Relative error of the tail's stroke; weight of the fit of the tendon's stiffness."""

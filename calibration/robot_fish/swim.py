@@ -19,9 +19,9 @@ from slider_jax.swimming.steady_state import with_added_velocity
 class SwimSettings(NamedTuple):
     """Numerical settings of a simulated swim."""
 
-    numerics: Numerics = Numerics(tail_cells=10, body_cells=65)
+    numerics: Numerics = Numerics(tail_cells=9, body_cells=57)
     steps_per_beat: int = 64
-    beats: int = 9
+    beats: int = 8
     kept: int = 3
     """Number of beats at the end from which speed and recoil are computed."""
 
