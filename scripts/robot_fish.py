@@ -64,7 +64,7 @@ def main(argv: list[str] | None = None) -> int:
                 input_file(path)
                 for path in (
                     given.runs / "beats.json", *inputs, known / "beats.json", *files,
-                    known / "parts.csv", known / "fin_tail.csv",
+                    known / "parts.csv", known / "fin_tail.csv", known / "fin_top.csv",
                 )
             ]  # fmt: skip
             record = settings_record(found, fitted, simulator.settings, sources)

@@ -74,7 +74,7 @@ BODY_ADDED_MASS = 0.3
 
 @dataclass(frozen=True)
 class Dimensions:
-    """Masses and outlines of the fish, from `parts.csv` and `fin_tail.csv`."""
+    """Masses and outlines of the fish, from `parts.csv` and the outlines of the fins."""
 
     mass: Float[np.ndarray, " 6"]
     """Masses [kg] of the head and of the five tail segments."""
@@ -84,7 +84,10 @@ class Dimensions:
     """Moments of inertia [kg m^2] about z through their centres of mass."""
     fin_x: Float[np.ndarray, " points"]
     fin_height: Float[np.ndarray, " points"]
-    """x [m] of the fin's outline and its height [m] from tip to tip."""
+    """x [m] of the tail fin's outline and its height [m] from tip to tip."""
+    top_x: Float[np.ndarray, " points"]
+    top_z: Float[np.ndarray, " points"]
+    """x [m] and z [m] of the upper edge of the top fin."""
 
 
 def read_dimensions(folder: Path) -> Dimensions:
@@ -106,18 +109,25 @@ def read_dimensions(folder: Path) -> Dimensions:
     )
     fin = read_table(folder / "fin_tail.csv", ("x_m", "z_outer_m"))
     centre = first / total
-    return Dimensions(total, centre, second - total * centre**2, fin["x_m"], 2.0 * fin["z_outer_m"])
+    top = read_table(folder / "fin_top.csv", ("x_m", "z_high_m"))
+    return Dimensions(
+        total, centre, second - total * centre**2,
+        fin["x_m"], 2.0 * fin["z_outer_m"], top["x_m"], top["z_high_m"],
+    )  # fmt: skip
 
 
 def height_at(x: np.ndarray, size: Dimensions) -> np.ndarray:
     """Returns the height H [m] at `x` [m]. Water leaves the fin at its largest height.
 
-    The gaps between plates are short against the height, so H is interpolated across them.
+    The top fin adds to the height of the body. The gaps between plates are short against the
+    height, so H is interpolated across them.
     """
     plates_x = [NOSE, 0.123, 0.1231, 0.278, 0.2995, 0.3295, 0.3615, 0.3905, 0.4115]
     plates = [0.1, 0.1, 0.105, 0.105, 0.1, 0.095, 0.09, 0.085, 0.08]
     fin = np.interp(x, size.fin_x, np.maximum.accumulate(size.fin_height))
-    return np.maximum(np.interp(x, plates_x, plates), fin)
+    plate = np.interp(x, plates_x, plates)
+    top = np.interp(x, size.top_x, size.top_z, left=0.0, right=0.0)
+    return np.maximum(plate + np.maximum(top - 0.5 * plate, 0.0), fin)
 
 
 def robot_of_fish(size: Dimensions, yaw_inertia: Scalar = 0.0) -> Robot:
