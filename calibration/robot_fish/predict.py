@@ -33,7 +33,7 @@ CALIBRATED_ON = ("f1_00", "f1_75")
 """The two runs of the data's folder that determine the free parameters."""
 WATER = ("C", "area", "friction", "yaw_inertia")
 """Parameters that are fitted to speed and recoil with the measured tail."""
-START = Parameters(C=3.7, m_fin=0.53, area=0.09, friction=15.0, yaw_inertia=0.1, stiffness=1000.0)
+START = Parameters(C=3.7, m_fin=0.53, area=0.09, friction=15.0, yaw_inertia=0.1, stiffness=390.0)
 """Fixed value of `m_fin`, and initial values of the fitted parameters. C is 8 for plates
 (Graham 1980). m_fin = 0.53 is the lift slope of a wing of the fin's aspect ratio 5.5,
 2 pi/(1 + 2/5.5), over the slope pi/2 times 5.5 of slender-body theory."""

@@ -40,6 +40,17 @@ def unseen(runs: list[RunPrediction]) -> list[RunPrediction]:
     return [x for x in runs if x.run.name not in CALIBRATED_ON]
 
 
+def speed_sentence(runs: list[RunPrediction]) -> str:
+    """Returns the mean absolute errors of both drives in one sentence."""
+    errors = speed_errors(unseen(runs) or runs)
+    kind = "runs outside the fit" if unseen(runs) else "runs of the fit"
+    kinematic, beat = (errors[name] for name in list(PREDICTORS)[:2])
+    return (
+        f"The mean absolute error of the speed over {len(unseen(runs) or runs)} {kind} is "
+        f"{kinematic:.4f} m/s with the kinematic drive and {beat:.4f} m/s from the beat alone."
+    )
+
+
 def speeds_record(runs: list[RunPrediction]) -> dict[str, Any]:
     """Returns the content of speeds.json."""
     return {x.run.name: prediction_record(x) for x in runs}
@@ -50,6 +61,7 @@ def settings_record(
 ) -> dict[str, Any]:
     """Returns the content of result.json: errors, parameters, settings, inputs and versions."""
     return {
+        "said": speed_sentence(runs),
         "mean_absolute_error_m_per_s": {
             "all": speed_errors(runs),
             "unseen": speed_errors(unseen(runs)) if unseen(runs) else None,
