@@ -15,7 +15,12 @@ from pathlib import Path
 from calibration.robot_fish.fish import read_dimensions
 from calibration.robot_fish.markers import SUFFIX, read_beats, read_marker_run, read_marker_runs
 from calibration.robot_fish.predict import CALIBRATED_ON, FishSimulator, calibrate_fish, predict_run
-from calibration.robot_fish.report import fish_page, settings_record, speeds_record, speeds_table
+from calibration.robot_fish.report import (
+    fish_page,
+    fish_speeds_record,
+    fish_speeds_table,
+    settings_record,
+)
 from slider_jax.errors import InputError, SolverError
 from slider_jax.io.files import input_file, staged, write_json, write_text
 from slider_jax.precision import enable_float64
@@ -68,13 +73,13 @@ def main(argv: list[str] | None = None) -> int:
                 )
             ]  # fmt: skip
             record = settings_record(found, fitted, simulator.settings, sources)
-            write_json(stage / "speeds.json", speeds_record(found))
+            write_json(stage / "speeds.json", fish_speeds_record(found))
             write_json(stage / "result.json", record)
             write_text(stage / "report.html", fish_page(found, fitted, record))
     except (InputError, SolverError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    print(speeds_table(found))
+    print(fish_speeds_table(found))
     progress(f"speeds.json, result.json and report.html are in {given.out}")
     return 0
 

@@ -66,6 +66,8 @@ class Parameters(eqx.Module):
     """Moment of inertia [kg m^2] about z that the head has in addition to the stated masses."""
     stiffness: Scalar
     """Stiffness [N/m] of a tendon with its motor."""
+    pull: Scalar
+    """Length that the motor pulls in, divided by the length from its dimensions [-]."""
 
 
 BODY_ADDED_MASS = 0.3
@@ -169,9 +171,22 @@ def _part(x: np.ndarray, size: Dimensions, yaw_inertia: Scalar) -> RobotPart:
 
 def _parabola(x: np.ndarray, size: Dimensions, yaw_inertia: Scalar) -> Array:
     """Returns the density [kg/m] at `x` of a head with the given mass, centre and inertia."""
-    a, b = NOSE, HINGES[0]
-    power = np.arange(1, 4)[:, None] + np.arange(3)
-    moments = (b**power - a**power) / power
+    # The density is linear between the points of the head, so its moments are those of the pieces.
+    near, far = x[x[:, 1] < HINGES[0] + 1e-9].T
+    middle = 0.5 * (near + far)
+    moments = np.array(
+        [
+            [
+                np.sum(
+                    (far - near)
+                    / 6.0
+                    * (near ** (i + j) + 2.0 * middle**i * (near**j + far**j) + far ** (i + j))
+                )
+                for j in range(3)
+            ]
+            for i in range(3)
+        ]
+    )
     second = size.inertia[0] + yaw_inertia + size.mass[0] * size.centre[0] ** 2
     needed = jnp.stack([jnp.asarray(size.mass[0]), size.mass[0] * size.centre[0], second])
     c = jnp.asarray(np.linalg.inv(moments)) @ needed
@@ -216,13 +231,15 @@ class RigidSpan(PrescribedShape):
 class CrankPull(Waveform):
     """Length [m] by which a steadily turning crank pulls a tendon, relative to crank angle zero.
 
-    pull = m(a) - m(0),  m(a)^2 = (X + R sin a)^2 + Y^2 + (R cos a)^2,  a = 2 pi (f t - phase)
+    pull = gain (m(a) - m(0)),    a = 2 pi (f t - phase)
+    m(a)^2 = (X + R sin a)^2 + Y^2 + (R cos a)^2
 
     R is the radius of the crank, and X and Y are the offsets of the tendon's first point.
     """
 
     frequency: Scalar
     phase: Scalar = 0.0
+    gain: Scalar = 1.0
 
     def at(self, t):
         def m(a):
@@ -231,7 +248,8 @@ class CrankPull(Waveform):
 
         # The motor starts smoothly in the first beat, because the simulated tail starts straight.
         start = 0.5 - 0.5 * jnp.cos(jnp.pi * jnp.clip(self.frequency * t, 0.0, 1.0))
-        return start * (m(2.0 * jnp.pi * (self.frequency * t - self.phase)) - m(0.0))
+        turn = 2.0 * jnp.pi * (self.frequency * t - self.phase)
+        return start * self.gain * (m(turn) - m(0.0))
 
     def segment(self, t0, t1):
         middle = 0.5 * (t0 + t1)
@@ -316,7 +334,7 @@ def tendon_drive(beat: Scalar, x: Parameters) -> tuple[RigidSpan, RoutedTendon, 
             offset=0.0,
             route=jnp.asarray(ROUTE_X - NOSE),
             offsets=jnp.asarray(side * ROUTE_Y),
-            pull=CrankPull(beat, phase),
+            pull=CrankPull(beat, phase, x.pull),
             stiffness=x.stiffness,
         )
 

@@ -33,7 +33,11 @@ CALIBRATED_ON = ("f1_00", "f1_75")
 """The two runs of the data's folder that determine the free parameters."""
 WATER = ("C", "area", "friction", "yaw_inertia")
 """Parameters that are fitted to speed and recoil with the measured tail."""
-START = Parameters(C=3.7, m_fin=0.53, area=0.09, friction=15.0, yaw_inertia=0.1, stiffness=390.0)
+DRIVE = ("stiffness", "pull")
+"""Parameters that are fitted to the tail's stroke, with the tendons."""
+START = Parameters(
+    C=3.7, m_fin=0.53, area=0.09, friction=15.0, yaw_inertia=0.1, stiffness=3000.0, pull=0.9
+)
 """Fixed value of `m_fin`, and initial values of the fitted parameters. C is 8 for plates
 (Graham 1980). m_fin = 0.53 is the lift slope of a wing of the fin's aspect ratio 5.5,
 2 pi/(1 + 2/5.5), over the slope pi/2 times 5.5 of slender-body theory."""
@@ -55,7 +59,7 @@ class Swum:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class FishCalibration:
     """The fitted model."""
 
     parameters: Parameters
@@ -153,7 +157,7 @@ def calibrate_fish(
     runs: list[MarkerRun],
     simulator: FishSimulator,
     progress: Callable[[str], None] = lambda text: None,
-) -> Calibration:
+) -> FishCalibration:
     """Fits the free parameters to speed, recoil and stroke of two `runs`.
 
     Raises `InputError` for another number of runs, or for equal beats.
@@ -179,19 +183,19 @@ def calibrate_fish(
 
     def drive(x):
         found = [simulator.with_tendons(f, x).stroke / m.stroke for _, f, m in pairs]
-        progress(f"  stiffness {x.stiffness:.4g}")
+        progress(f"  {', '.join(f'{name} {getattr(x, name):.4g}' for name in DRIVE)}")
         return np.array([(abs(q) - 1.0) / STROKE_ERROR for q in found])
 
     progress("fitting the tendons' stiffness to the tail's stroke in the two runs")
-    x = _fitted(x, ("stiffness",), drive, 0.05)
+    x = _fitted(x, DRIVE, drive, 0.05)
     speeds = np.array([m.speed for m in measured])
     slope, intercept = np.polyfit(beats, speeds, 1)
     per_beat = float(speeds @ beats / np.dot(beats, beats))
     names = tuple(run.name for run in runs)
-    return Calibration(x, ratio, names, (float(slope), float(intercept)), per_beat)
+    return FishCalibration(x, ratio, names, (float(slope), float(intercept)), per_beat)
 
 
-def predict_run(run: MarkerRun, fitted: Calibration, simulator: FishSimulator) -> RunPrediction:
+def predict_run(run: MarkerRun, fitted: FishCalibration, simulator: FishSimulator) -> RunPrediction:
     """Returns the predictions for a run. The kinematic drive uses the run's tail, not its speed."""
     x, f = fitted.parameters, run.beat
     angles = hinge_angles(run, fitted.ratio)

@@ -8,8 +8,9 @@ from calibration.reporting.html import embedded_png, render_page
 from calibration.robot_fish.markers import RELIABLE
 from calibration.robot_fish.predict import (
     CALIBRATED_ON,
+    DRIVE,
     WATER,
-    Calibration,
+    FishCalibration,
     RunPrediction,
     Swum,
     prediction_record,
@@ -51,13 +52,13 @@ def speed_sentence(runs: list[RunPrediction]) -> str:
     )
 
 
-def speeds_record(runs: list[RunPrediction]) -> dict[str, Any]:
+def fish_speeds_record(runs: list[RunPrediction]) -> dict[str, Any]:
     """Returns the content of speeds.json."""
     return {x.run.name: prediction_record(x) for x in runs}
 
 
 def settings_record(
-    runs: list[RunPrediction], fitted: Calibration, settings: Any, sources: list[dict[str, Any]]
+    runs: list[RunPrediction], fitted: FishCalibration, settings: Any, sources: list[dict[str, Any]]
 ) -> dict[str, Any]:
     """Returns the content of result.json: errors, parameters, settings, inputs and versions."""
     return {
@@ -67,7 +68,7 @@ def settings_record(
             "unseen": speed_errors(unseen(runs)) if unseen(runs) else None,
         },
         "parameters": {k: float(v) for k, v in vars(fitted.parameters).items()},
-        "fitted": [*WATER, "stiffness"],
+        "fitted": [*WATER, *DRIVE],
         "calibrated_on": fitted.runs,
         "settings": {
             "steps_per_beat": settings.steps_per_beat, "beats": settings.beats,
@@ -79,7 +80,7 @@ def settings_record(
     }  # fmt: skip
 
 
-def speeds_table(runs: list[RunPrediction]) -> str:
+def fish_speeds_table(runs: list[RunPrediction]) -> str:
     """Returns the speeds as a text table."""
     lines = [f"{'run':<10}{'beat Hz':>8}{'measured':>10}{'kinematic':>10}{'beat':>10}{'line':>10}"]
     for x in runs:
@@ -90,7 +91,9 @@ def speeds_table(runs: list[RunPrediction]) -> str:
     return "\n".join(lines)
 
 
-UNITS = dict(C="-", m_fin="-", area="m^2", friction="-", yaw_inertia="kg m^2", stiffness="N/m")
+UNITS = dict(
+    C="-", m_fin="-", area="m^2", friction="-", yaw_inertia="kg m^2", stiffness="N/m", pull="-"
+)
 """Units of the parameters."""
 
 
@@ -150,7 +153,7 @@ def _recoil_figure(runs: list[RunPrediction]):
     return figure
 
 
-def fish_page(runs: list[RunPrediction], fitted: Calibration, record: dict[str, Any]) -> str:
+def fish_page(runs: list[RunPrediction], fitted: FishCalibration, record: dict[str, Any]) -> str:
     """Returns report.html; `record` is the content of result.json."""
     errors = record["mean_absolute_error_m_per_s"]
     return render_page(

@@ -34,7 +34,7 @@ class Swam(NamedTuple):
     ok: Bool[Array, ""]
 
 
-def swim(
+def swim_fish(
     model: Model, beat: Scalar, speed: Scalar, settings: SwimSettings = SwimSettings()
 ) -> Swam:
     """Simulates a fish that begins at the `speed` [m/s]. Use vmap for several fish."""
@@ -52,4 +52,4 @@ def swim(
     return Swam(run.t[-last:], run.saved[-last:], run.ok)
 
 
-swim_jit = eqx.filter_jit(swim)
+swim_jit = eqx.filter_jit(swim_fish)
