@@ -152,13 +152,14 @@ def _part(x: np.ndarray, size: Dimensions, yaw_inertia: Scalar) -> RobotPart:
     soft = np.any([(a < middle) & (middle < b) for a, b in STRIPS], axis=0)
     strip = np.clip(np.searchsorted(STRIPS[:, 1], middle), 0, 4)
     EI = np.where(soft, HINGE_STIFFNESS * np.diff(STRIPS, axis=1)[strip, 0], RIGID_EI)
+    both = np.ones((len(middle), 2))
     segment = np.searchsorted(HINGES, middle)
     borders = np.concatenate([[NOSE], HINGES, [END]])
     uniform = (size.mass / np.diff(borders))[segment]
-    density = jnp.where(
-        (segment == 0)[:, None], _parabola(ends, size, yaw_inertia), uniform[:, None]
-    )
-    both = np.ones((len(middle), 2))
+    density = jnp.asarray(uniform[:, None] * both)
+    if segment[0] == 0:
+        head = _parabola(ends, size, yaw_inertia)
+        density = jnp.where((segment == 0)[:, None], head, density)
     return RobotPart(
         lengths=jnp.asarray(np.diff(x)),
         linear_density=density,
