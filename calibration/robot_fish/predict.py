@@ -33,14 +33,16 @@ CALIBRATED_ON = ("f1_00", "f1_75")
 """The two runs of the data's folder that determine the free parameters."""
 WATER = ("C", "area", "friction", "yaw_inertia")
 """Parameters that are fitted to speed and recoil with the measured tail."""
-DRIVE = ("stiffness", "pull")
-"""Parameters that are fitted to the tail's stroke, with the tendons."""
+DRIVE = ("pull",)
+"""Parameter that is fitted to the tail's stroke, with the tendons."""
 START = Parameters(
-    C=3.7, m_fin=0.53, area=0.09, friction=15.0, yaw_inertia=0.1, stiffness=3000.0, pull=0.9
+    C=3.65, m_fin=0.53, area=0.09, friction=15.0, yaw_inertia=0.1, stiffness=2e4, pull=0.78
 )
-"""Fixed value of `m_fin`, and initial values of the fitted parameters. C is 8 for plates
-(Graham 1980). m_fin = 0.53 is the lift slope of a wing of the fin's aspect ratio 5.5,
-2 pi/(1 + 2/5.5), over the slope pi/2 times 5.5 of slender-body theory."""
+"""Fixed values of `m_fin` and `stiffness`, and initial values of the fitted parameters.
+
+m_fin = 0.53 is the lift slope of a wing of the fin's aspect ratio 5.5, 2 pi/(1 + 2/5.5), over the
+slope pi/2 times 5.5 of slender-body theory. The data's source states the tendons' stiffness.
+"""
 SPEED_ERROR, AMPLITUDE_ERROR, PHASE_ERROR = 0.02, 0.1, 0.5
 """Relative errors of speed and amplitudes and error [rad] of phases; weights of the fit."""
 STROKE_ERROR = 0.02
@@ -186,7 +188,7 @@ def calibrate_fish(
         progress(f"  {', '.join(f'{name} {getattr(x, name):.4g}' for name in DRIVE)}")
         return np.array([(abs(q) - 1.0) / STROKE_ERROR for q in found])
 
-    progress("fitting the tendons' stiffness to the tail's stroke in the two runs")
+    progress("fitting the motor's pull to the tail's stroke in the two runs")
     x = _fitted(x, DRIVE, drive, 0.05)
     speeds = np.array([m.speed for m in measured])
     slope, intercept = np.polyfit(beats, speeds, 1)
