@@ -1,0 +1,93 @@
+"""Model of the robot fish, and the script from markers to speeds."""
+
+import json
+import os
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from calibration.robot_fish.fish import (
+    CRANK,
+    CRANK_X,
+    CRANK_Y,
+    NOSE,
+    CrankPull,
+    read_dimensions,
+    robot_of_fish,
+    strip_weights,
+)
+from calibration.robot_fish.swim import SwimSettings
+from slider_jax.dynamics.model import make_mesh
+from tests.support.data import ROOT
+
+
+@pytest.fixture
+def fish(data):
+    folder = data / "fishsim"
+    if not folder.is_dir():
+        pytest.skip("the robot fish is absent; set SLIDER_DATA to a folder with fishsim/")
+    return folder
+
+
+def test_mass_and_moment_of_inertia_are_those_of_the_readme(fish):
+    """README: 1.4807 kg, centre at x = 0.1172 m, 0.0201 kg m^2. Tolerances: 0.1 %, 1 mm, 3 %."""
+    numerics = SwimSettings().numerics
+    for added in (0.0, 0.1):
+        mesh = make_mesh(robot_of_fish(read_dimensions(fish), added), numerics).structure
+        mass = np.asarray(mesh.linear_density * mesh.ds)
+        x = NOSE + float(mesh.s[-1] + 0.5 * mesh.ds[-1]) - np.asarray(mesh.s)
+        centre = mass @ x / mass.sum()
+        own = mass @ np.asarray(mesh.ds) ** 2 / 12.0
+        assert mass.sum() == pytest.approx(1.4807, rel=1e-3)
+        assert centre == pytest.approx(0.1172, abs=1e-3)
+        assert mass @ (x - centre) ** 2 + own == pytest.approx(0.0201 + added, rel=0.03)
+
+
+def test_strips_turn_the_tail_by_the_hinge_angles(fish):
+    numerics = SwimSettings().numerics
+    robot = robot_of_fish(read_dimensions(fish))
+    weights = strip_weights(robot, numerics)
+    ds = make_mesh(robot, numerics).structure.ds
+    np.testing.assert_allclose(weights @ ds, 1.0, rtol=1e-9)
+
+
+def test_crank_pulls_by_its_stroke():
+    """README: the distance from the motor to tail 0 changes by 34 mm to both sides."""
+    wave = CrankPull(0.5, 0.0)
+    pulled = float(wave.at(jnp.asarray(2.5))) - float(wave.at(jnp.asarray(3.5)))
+    ends = [np.hypot(CRANK_X + side * CRANK, CRANK_Y) for side in (1.0, -1.0)]
+    assert pulled == pytest.approx(ends[0] - ends[1], rel=1e-12)
+    assert 0.5 * pulled == pytest.approx(0.034, abs=0.001)
+
+
+def script(*words, **environment):
+    return subprocess.run(
+        [sys.executable, "scripts/robot_fish.py", *map(str, words)],
+        cwd=ROOT, capture_output=True, text=True, env=os.environ | environment, check=False,
+    )  # fmt: skip
+
+
+def test_bad_input_gives_one_error(tmp_path):
+    done = script(tmp_path / "none", "--out", tmp_path / "out")
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "no such folder" in done.stderr and not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_both_drives_give_the_measured_speeds(fish, tmp_path):
+    """Both known runs, which are also the runs of the fit. Bars: 0.010 and 0.015 m/s."""
+    done = script(fish, "--out", tmp_path / "out", SLIDER_DATA=str(fish.parent))
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "out" / "speeds.json").read_text())
+    assert set(found) == {"f1_00", "f1_75"}
+    for x in found.values():
+        assert x["predicted_m_per_s"] == pytest.approx(x["measured_m_per_s"], abs=0.010)
+        from_beat = x["predicted_from_frequency_m_per_s"]
+        assert from_beat == pytest.approx(x["measured_m_per_s"], abs=0.015)
+    record = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert "versions" in record and len(record["fitted"]) <= 6
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("data:image/png;base64") == 2
