@@ -71,7 +71,7 @@ def last_strides(run: TrialRun, frames: int, strides: int = 1, closed: bool = Fa
 
 
 def plot_midlines(run: TrialRun, path: Path) -> None:
-    """Plots midlines of the last stride in the clamp's frame, and the tip's path."""
+    """Plots midlines of the last stride relative to the head, and the tip's path."""
     import matplotlib
 
     steps = last_strides(run, 16)
@@ -81,8 +81,9 @@ def plot_midlines(run: TrialRun, path: Path) -> None:
         ax.plot(*(1e3 * run.series["midline"][index]), color=colour, lw=1.2)
     tip = 1e3 * run.series["midline"][last_strides(run, 200, closed=True), :, 0]
     ax.plot(*tip.T, "k:", lw=1.0, label="path of the tip")
-    ax.plot(0.0, 0.0, "ks", ms=7, label="clamp")
-    ax.set(xlabel="x, forward from the clamp (mm)", ylabel="y, lateral (mm; scale enlarged)")
+    head = "head" if run.trial.support == "free" else "clamp"
+    ax.plot(0.0, 0.0, "ks", ms=7, label=head)
+    ax.set(xlabel=f"x, forward from the {head} (mm)", ylabel="y, lateral (mm; scale enlarged)")
     ax.legend(loc="upper right", fontsize="small")
     times = matplotlib.colors.Normalize(run.t[steps[0]], run.t[steps[-1]])
     scale = matplotlib.cm.ScalarMappable(times, "viridis")
