@@ -2,30 +2,35 @@
 
 import importlib.util
 import json
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+from calibration.audit.audit import audit_measurements
+from calibration.discrepancy import close_loop
+from calibration.experiment_design import detectability
 from calibration.experiment_design.parameter_trial import feasible_trials
 from calibration.experiment_design.trial_search import limits_of, trial_at, trial_text
-from calibration.identification.identify import identify_parameters
-from calibration.inference.uncertainty import confidence_interval
+from calibration.identification import identify
+from calibration.inference.problem import TankProblem
 from calibration.model.plan import Resolution
 from slider_jax.cli.main import main
 from slider_jax.experiment.load import load, to_model
+from slider_jax.io.csv import read_csv
 from slider_jax.optimise.design_space import gait_bounds, models, to_toml, with_gait
+from slider_jax.simulation.trial import simulate_trial
 from slider_jax.swimming.gait import Gait
 from tests.support.data import ROOT
 
 FILE = ROOT / "examples" / "eel" / "experiment.toml"
-SMALL = {"numerics.nodes": 15, "numerics.step": 4e-3} | {
+SMALL: dict[str, object] = {"numerics.nodes": 15, "numerics.step": 4e-3} | {
     f"trials.{i}.duration": 1.0 for i in range(5)
 }
 TANK = {"numerics.nodes": 15, "numerics.step": 2e-3}
 MESH = Resolution(15, 40, 4.0e-3)
 PRESSURES = ("p_head", "p_middle", "p_rear")
-TRUE = {"C_d": 3.0, "m_a": 0.8, "k": 0.08, "K_Q": 4.6e-7}
+TRUE = {"parameters.C_d": 3.0, "parameters.m_a": 0.8, "parameters.k": 0.08}
 
 
 @pytest.fixture(scope="module")
@@ -57,15 +62,13 @@ def evenly(count):
 
 @pytest.fixture(scope="module")
 def tank(example, tmp_path_factory):
-    """A measured eel without an undeclared effect, whose columns of two pressures are swapped."""
+    """The eel's experiment with measured trials, and the true readings of each trial."""
     folder = tmp_path_factory.mktemp("eel")
-    path = eel_in(folder)
-    example.measure(load(path), folder, example.TRUTH | TANK | {"effects": []})
-    swapped = folder / "falling.csv"
-    header, *rows = swapped.read_text().splitlines()
-    names = header.replace("p_middle", "p_").replace("p_rear", "p_middle").replace("p__", "p_rear_")
-    swapped.write_text("\n".join([names, *rows]))
-    return load(path)
+    experiment = load(eel_in(folder))
+    true = experiment.with_values(TANK | TRUE)
+    example.measure(true, folder, {})
+    readings = {x.file: simulate_trial(true, x).columns for x in true.trials}
+    return experiment, readings
 
 
 def test_a_changed_experiment_keeps_the_drive_of_each_chamber():
@@ -77,17 +80,34 @@ def test_a_changed_experiment_keeps_the_drive_of_each_chamber():
     np.testing.assert_allclose([x.phase for x in waves], [0.0, 0.2, 0.4])
 
 
-def test_calibration_finds_the_parameters_and_a_swap_of_two_of_three_pressures(tank):
-    found = identify_parameters(tank, fine=MESH, coarse=MESH)
-    (finding,) = found.audit
-    assert finding.kind == "swapped_columns" and finding.channel == "p_middle, p_rear"
+def test_the_audit_finds_a_swap_of_two_of_three_pressures(tank, tmp_path):
+    experiment, true = tank
+    for file in experiment.folder.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    swapped = tmp_path / "falling.csv"
+    header, *rows = swapped.read_text().splitlines()
+    names = header.split(",")
+    names[2:4] = names[3:1:-1]
+    swapped.write_text("\n".join([",".join(names), *rows]))
+
+    def predict(records):
+        return [
+            np.stack([true[r.trial.file][x.column] for x in r.channels.values()])[:, : len(r.t)]
+            for r in records
+        ]
+
+    assert audit_measurements(experiment, 3, predict).findings == []
+    audited = audit_measurements(load(tmp_path / "experiment.toml"), 3, predict)
+    (finding,) = audited.findings
+    assert (finding.kind, finding.action) == ("swapped_columns", "mended")
     assert finding.detail == (
         "p_middle_Pa and p_rear_Pa are swapped: each fits another chamber's drive"
     )
-    assert found.problem.channels == (*PRESSURES, "thrust", "recoil", "tip", "waist", "joint")
-    for i, entry in enumerate(found.entries):
-        value, low, high = confidence_interval(found.fit, found.entries, i)
-        assert low < TRUE[entry.label] < high, (entry.label, low, value, high)
+    assert audited.records[2].channels.pressures == PRESSURES
+    for c, name in enumerate(("p_head_Pa", "p_middle_Pa", "p_rear_Pa")):
+        np.testing.assert_allclose(
+            audited.records[2].pressures[c], true["falling.csv"][name], atol=4000.0
+        )
 
 
 def test_the_next_trial_has_the_phases_of_the_last_chamber():
@@ -116,3 +136,81 @@ def test_an_optimised_gait_keeps_the_limits_of_the_chambers():
         head, middle, rear = (float(x.segment(*at).a0) for x in model.drive.waves)
         np.testing.assert_allclose([head, middle, rear], [200e3, 100e3, 300e3])
     assert gait_bounds({}).low.shape == (6,)
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    """Coarse meshes for the commands that fit or predict."""
+    of, loop, matrix = (
+        TankProblem.of, close_loop.close_loop_on_trials, detectability.detectability_matrix
+    )  # fmt: skip
+    monkeypatch.setattr(
+        identify.TankProblem, "of", lambda e, r, n, c, fine, coarse: of(e, r, n, c, MESH, MESH)
+    )
+    monkeypatch.setattr(close_loop, "close_loop_on_trials", partial(loop, fine=MESH, coarse=MESH))
+    monkeypatch.setattr(detectability, "detectability_matrix", partial(matrix, coarse=MESH))
+
+
+def run(*words):
+    assert main([str(word) for word in words]) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 6])
+def test_any_number_of_chambers_is_simulated_swept_and_calibrated(
+    count, example, tmp_path, capsys, coarse
+):
+    path = eel_in(tmp_path, evenly(count))
+    example.measure(load(path), tmp_path, TANK | TRUE)
+    run("simulate", path, "--out", tmp_path / "simulated", "--plot")
+    columns = read_csv(tmp_path / "simulated" / "linear.csv", [f"p_c{count - 1}_Pa"])
+    assert np.abs(columns[f"p_c{count - 1}_Pa"]).max() > 5e4
+    field = "trials.1.amplitude"
+    steps = ("--steps-per-stride", 40, "--strides", 3, "--transient", 1)
+    out = tmp_path / "swept"
+    run(
+        "sweep",
+        path,
+        "--field",
+        field,
+        "--from",
+        1e5,
+        "--to",
+        3e5,
+        "--count",
+        2,
+        *steps,
+        "--out",
+        out,
+    )
+    run("calibrate", path, "--out", tmp_path / "fit")
+    found = json.loads((tmp_path / "fit" / "calibration.json").read_text())
+    assert found["audit"] == []
+    for name, value in TRUE.items():
+        x = found["parameters"][name.removeprefix("parameters.")]
+        assert x["low"] < value < x["high"], name
+
+
+@pytest.mark.slow
+def test_every_command_runs_on_the_eel(example, tmp_path, capsys, coarse):
+    path = eel_in(tmp_path)
+    example.measure(load(path), tmp_path, example.TRUTH | TANK)
+    run("simulate", path, "--out", tmp_path / "simulated")
+    assert "head pressure" in capsys.readouterr().err
+    steps = ("--steps-per-stride", 40, "--strides", 3, "--transient", 1)
+    span = ("--from", 0.0, "--to", 0.4, "--count", 3)
+    run("sweep", path, "--field", "trials.3.phase", *span, *steps, "--out", tmp_path / "swept")
+    run("swim", path, "--trial", 2, "--out", tmp_path / "swum")
+    search = ("--population", 4, "--generations", 1, "--steps-per-stride", 40)
+    run("optimize", "swim", path, *search, "--out", tmp_path / "best")
+    assert len(load(tmp_path / "best" / "best.toml").chambers) == 3
+    names = ("lag_mismatch", "valve_delay")
+    run("effects", "matrix", path, "--only", *names, "--out", tmp_path / "matrix")
+    run("calibrate", path, "--also", "lag_mismatch", "--out", tmp_path / "fit")
+    found = json.loads((tmp_path / "fit" / "calibration.json").read_text())
+    x = found["parameters"]["lag_mismatch.x"]
+    assert x["low"] < 0.3 < x["high"]
+    run("close-loop", path, "--only", *names, "--out", tmp_path / "loop")
+    report = json.loads((tmp_path / "loop" / "report.json").read_text())
+    assert report["verdict"] == "identified"
+    assert [x["name"] for x in report["effects"]] == ["lag_mismatch"]
