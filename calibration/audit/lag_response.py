@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from slider_jax.actuation import rear_of
+from slider_jax.experiment.drive import delays_of, ratios_of
 from slider_jax.experiment.schema import Trial
 
 TIME_CONSTANTS = np.geomspace(0.02, 0.5, 14)
@@ -71,11 +71,10 @@ def declared_drives(
 
     `limits` are the lowest and the highest set pressure [Pa] of each chamber (default: none).
     """
-    f, amplitude, rear = trial.frequency, trial.amplitude, rear_of(chambers)
+    f, amplitude = trial.frequency, trial.amplitude
     if trial.waveform == "recorded" or not f or not amplitude:
         return None
-    ratios = trial.ratios or [(1.0 - r) + r * trial.rear_ratio for r in rear]
-    phases = trial.phases or [r * trial.phase for r in rear]
+    ratios, phases = ratios_of(trial, chambers), delays_of(trial, chambers)
     each = zip(
         ratios,
         phases,
@@ -85,9 +84,7 @@ def declared_drives(
     )
     lead = min(trial.lead, LONGEST_LEAD)
     drives = tuple(
-        DeclaredDrive(
-            trial.waveform, f, float(amplitude * ratio), float(phase), trial.rise, bias, *ends, lead
-        )
+        DeclaredDrive(trial.waveform, f, amplitude * ratio, phase, trial.rise, bias, *ends, lead)
         for ratio, phase, bias, ends in each
     )
     return drives if drives and all(x.amplitude for x in drives) else None

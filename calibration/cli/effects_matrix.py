@@ -39,7 +39,7 @@ def effects_matrix(
         frequency: lowest and highest frequency of the next trial, in Hz (default: the range in the
             experiment's trials, widened by 10 %).
         amplitude: lowest and highest amplitude of the next trial in Pa (default: as for frequency).
-        phase: lowest and highest phase of the rear chamber, as a fraction of a period (default: as
+        phase: lowest and highest phase of the last chamber, as a fraction of a period (default: as
             for frequency).
         tow_speed: lowest and highest tow speed, in m/s (default: as for frequency).
         model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and

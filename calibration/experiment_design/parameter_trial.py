@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calibration.experiment_design.information import SensorModel, TrialInformation, information
+from calibration.experiment_design.trial_search import phase_of_last
 from calibration.inference.gauss_newton import Fit, inverse
 from calibration.inference.noise import Noise
 from calibration.inference.problem import AbstractProblem, summed
@@ -24,6 +25,7 @@ from calibration.model.compiled import on_all_cores
 from calibration.model.extended import Parameter
 from calibration.model.plan import COARSE, Resolution
 from slider_jax.errors import SolverError
+from slider_jax.experiment.drive import ratios_of
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 
@@ -74,8 +76,8 @@ def feasible_trials(experiment: Experiment, frequency: float | None = None) -> l
     """Returns square-wave trials within the ranges of the experiment's own trials.
 
     The trials combine four frequencies, or the given `frequency` [Hz], with the smallest and the
-    largest amplitude, phase and tow speed of the experiment. If the experiment has a single
-    frequency, the four frequencies range from half to twice that frequency.
+    largest amplitude, phase of the last chamber, and tow speed of the experiment. If the experiment
+    has a single frequency, the four frequencies range from half to twice that frequency.
     """
     driven = [x for x in experiment.trials if x.frequency is not None]
     if not driven:
@@ -87,16 +89,21 @@ def feasible_trials(experiment: Experiment, frequency: float | None = None) -> l
     grid = np.geomspace(low, high, GRID_FREQUENCIES)
     frequencies = grid if frequency is None else [frequency]
     amplitudes = _ends(x.amplitude for x in driven)
-    phases = _ends(x.phase for x in driven)
+    count = len(experiment.chambers)
+    phases = _ends(phase_of_last(experiment, x) for x in driven)
     speeds = _ends(x.tow_speed for x in driven)
-    ratio = float(np.median([x.rear_ratio for x in driven]))
+    how: dict[str, Any] = {"rear_ratio": float(np.median([x.rear_ratio for x in driven]))}
+    if any(x.ratios is not None for x in driven):
+        how = {
+            "ratios": tuple(map(float, np.median([ratios_of(x, count) for x in driven], axis=0)))
+        }
     return [
         Trial(
             file="proposed.csv",
             frequency=float(f) if frequency else round(float(f), 2),
             amplitude=amplitude,
-            rear_ratio=ratio,
             phase=phase,
+            **how,
             tow_speed=speed,
             duration=round(max(MIN_SECONDS, GRID_STRIDES / f), 2),
         )
@@ -175,8 +182,9 @@ def propose_trials(
 def proposal_record(x: Proposal) -> dict[str, Any]:
     """Returns a proposal in the form that calibration.json contains."""
     keys = ("frequency", "amplitude", "rear_ratio", "phase", "tow_speed", "duration")
+    own = {} if x.trial.ratios is None else {"ratios": x.trial.ratios}
     return {
-        "trial": {name: getattr(x.trial, name) for name in keys},
+        "trial": {name: getattr(x.trial, name) for name in keys} | own,
         "half_width": x.half_width,
         "determined": x.determined,
     }

@@ -1,7 +1,7 @@
 """Searches for the trial that maximises a function of the predicted information.
 
 The search evaluates evenly spread trials first. A pattern search then starts from the best trial.
-The variables are frequency, amplitude, phase of the rear chamber and tow speed.
+The variables are frequency, amplitude, phase of the last chamber and tow speed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +18,7 @@ from calibration.experiment_design.information import (
 )
 from calibration.model.compiled import on_all_cores
 from slider_jax.errors import InputError, SolverError
+from slider_jax.experiment.drive import delays_of
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 from slider_jax.io.toml import quantity_of, toml_text, validate
@@ -84,7 +85,11 @@ def limits_of(
 
 
 def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, float]:
-    values = [getattr(t, name) for t in experiment.trials if t.waveform != "recorded"]
+    own = [t for t in experiment.trials if t.waveform != "recorded"]
+    if name == "phase":
+        values = [phase_of_last(experiment, t) for t in own]
+    else:
+        values = [getattr(t, name) for t in own]
     if not values:
         raise InputError(
             f"{option}: no range is given, and the experiment has recorded drives only, which have "
@@ -103,8 +108,17 @@ def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, f
     return rounded(low - lower if low else 0.0), rounded(high + upper if high else 0.0)
 
 
+def phase_of_last(experiment: Experiment, trial: Trial) -> float:
+    """Returns the delay of the last chamber's set pressure, as a fraction of a period."""
+    return next(reversed(delays_of(trial, len(experiment.chambers))), 0.0)
+
+
 def trial_at(experiment: Experiment, limits: TrialLimits, point: np.ndarray) -> Trial:
-    """Returns the rounded trial at `point` (4,). An entry of 0 or 1 is the low or high limit."""
+    """Returns the rounded trial at `point` (4,). An entry of 0 or 1 is the low or high limit.
+
+    The other keys of the drive are those of the first trial. The delay changes linearly from the
+    first chamber to the last.
+    """
     own = [t for t in experiment.trials if t.waveform != "recorded"]
     x = {}
     for name, (low, high), u in zip(QUANTITIES, limits, point, strict=True):
@@ -113,7 +127,8 @@ def trial_at(experiment: Experiment, limits: TrialLimits, point: np.ndarray) -> 
         x[name] = float(np.clip(float(f"{value:.3g}"), low, high))
     period = 1.0 / x["frequency"]
     seconds = max(MIN_STRIDES * period, min(TRIAL_STRIDES * period, MAX_SECONDS))
-    like = {"waveform", "rear_ratio"} | ({"rise"} if own[0].waveform == "trapezoid" else set())
+    like = {"waveform", "rear_ratio", "ratios", "biases", "effort"}
+    like |= {"rise"} if own[0].waveform == "trapezoid" else set()
     file = {"file": unused_file_name(experiment), "duration": float(f"{seconds:.3g}")}
     return validate(Trial, file | own[0].model_dump(include=like) | x, "next trial")
 
@@ -202,9 +217,16 @@ def trial_text(trial: Trial) -> str:
     if trial.frequency is None or trial.amplitude is None:
         return f"{trial.file} (recorded drive)"
     return (
-        f"{trial.frequency:g} Hz, {1e-3 * trial.amplitude:g} kPa, phase {trial.phase:g}, "
+        f"{trial.frequency:g} Hz, {1e-3 * trial.amplitude:g} kPa, {phase_text(trial)}, "
         f"tow speed {trial.tow_speed:g} m/s"
     )
+
+
+def phase_text(trial: Trial) -> str:
+    """Returns the phase, or the phases of all chambers, as text."""
+    if trial.phases is None:
+        return f"phase {trial.phase:g}"
+    return f"phases {', '.join(f'{x:g}' for x in trial.phases)}"
 
 
 def trial_table(trial: Trial) -> dict[str, Any]:

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slider_jax.experiment.load import assemble
+from slider_jax.channels import SLIDER_CHANNELS, TIME, ChannelSet
+from slider_jax.experiment.load import Experiment, assemble
 from slider_jax.io.files import write_csv, write_text
 from slider_jax.io.toml import toml_text
 from slider_jax.simulation.trial import simulate_trial
@@ -106,34 +107,46 @@ def write_tank(
         "numerics": dict(numerics),
         "trials": [dict(run) for run in runs],
     }
-    experiment = assemble(true, folder.name, folder)
-    rng = np.random.default_rng(seed)
-    for trial in experiment.trials:
-        columns = with_sensor_noise(simulate_trial(experiment, trial).columns, sensors, rng)
-        write_csv(folder / trial.file, columns, {"t_s": ".4f", "p_front_Pa": ".0f"})
+    write_trials(folder, assemble(true, folder.name, folder), seed, sensors)
     write_text(folder / "experiment.toml", toml_text(declared | {"trials": list(runs)}))
     return folder / "experiment.toml"
 
 
+def write_trials(folder: Path, true: Experiment, seed: int, sensors: Sensors) -> None:
+    """Simulates the trials of the experiment `true`, adds noise, and writes the trials' files."""
+    rng, channels = np.random.default_rng(seed), true.channels
+    # The converter of the first pressure sensor has steps of 1 Pa.
+    formats = {TIME: ".4f"} | {channels[name].column: ".0f" for name in channels.pressures[:1]}
+    for trial in true.trials:
+        columns = simulate_trial(true, trial).columns
+        write_csv(folder / trial.file, with_sensor_noise(columns, sensors, rng, channels), formats)
+
+
 def with_sensor_noise(
-    true: Mapping[str, np.ndarray], sensors: Sensors, rng: np.random.Generator
+    true: Mapping[str, np.ndarray],
+    sensors: Sensors,
+    rng: np.random.Generator,
+    channels: ChannelSet = SLIDER_CHANNELS,
 ) -> dict[str, np.ndarray]:
-    """Returns the columns `true` of one trial with added sensor noise."""
-    t = true["t_s"]
+    """Returns the columns `true` of one trial with added sensor noise.
+
+    A channel with own white noise keeps this noise. Cameras have `CAMERA_EVERY` times fewer frames.
+    """
+    t = true[TIME]
     n = len(t)
-    columns = {"t_s": t}
-    for name in ("p_front_Pa", "p_rear_Pa"):
-        columns[name] = true[name] + sensors.pressure_noise * rng.normal(size=n)
-    for name in ("thrust_N", "recoil_N"):
-        gain = 1.0 + sensors.gain_drift * rng.normal()
-        columns[name] = (
-            gain * true[name]
-            + sensors.force_tare * rng.normal()
-            + sensors.force_slow_noise * slow_noise(t, sensors.force_slow_time, rng)
-            + sensors.force_noise * rng.normal(size=n)
-        )
-    tip = true["tip_m"] + sensors.tip_noise * rng.normal(size=n)
-    columns["tip_m"] = np.where(np.arange(n) % CAMERA_EVERY == 0, tip, np.nan)
+    columns = {TIME: t}
+    for x in channels.values():
+        read, white = true[x.column], x.white or getattr(sensors, x.noise, 0.0)
+        if x.kind == "force":
+            read = (
+                (1.0 + sensors.gain_drift * rng.normal()) * read
+                + sensors.force_tare * rng.normal()
+                + sensors.force_slow_noise * slow_noise(t, sensors.force_slow_time, rng)
+            )
+        read = read + white * rng.normal(size=n)
+        if x.kind == "camera":
+            read = np.where(np.arange(n) % CAMERA_EVERY == 0, read, np.nan)
+        columns[x.column] = read
     return columns
 
 

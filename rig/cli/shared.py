@@ -39,6 +39,8 @@ Port = Annotated[str, tyro.conf.arg(metavar="PORT")]
 RigFile = Annotated[
     Path | None, tyro.conf.arg(metavar="RIG.toml", help_behavior_hint="(default: none)")
 ]
+MANIFOLD_CHAMBERS = ("front", "rear")
+"""Names of the chambers of the rig's manifold; each is a pair of a left and a right chamber."""
 LEAST_SWING = 1e-4
 """Smallest standard deviation of the tip at rest [m] that is written to the experiment file."""
 
@@ -60,6 +62,13 @@ def load_trials(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
     Raises `InputError` if the file is invalid.
     """
     experiment = validate(ExperimentTable, read_toml(path), str(path))
+    if experiment.chamber_names != MANIFOLD_CHAMBERS:
+        given = ", ".join(experiment.chamber_names) or "no chambers"
+        raise InputError.value(
+            f"{path}: the robot's chambers",
+            given,
+            f"{', '.join(MANIFOLD_CHAMBERS)}, the manifold's chambers",
+        )
     return experiment, [planned_trial(x, path) for x in experiment.trials]
 
 
@@ -113,8 +122,17 @@ def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
 
 
 def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
-    """Returns a trial as the rig plays it. Raises `InputError` for a "measured" drive."""
+    """Returns a trial as the rig plays it.
+
+    Raises `InputError` for a "measured" drive, and for own ratios, phases or biases of chambers.
+    """
     name = Path(trial.file).stem
+    for key in ("ratios", "phases", "biases"):
+        if getattr(trial, key) is not None:
+            raise InputError(
+                f"{path}: trial {trial.file}: {key}: not available on the rig; use rear_ratio and "
+                "phase, or a recorded drive"
+            )
     if trial.waveform != "recorded":
         return PlannedTrial(
             name,

@@ -129,8 +129,10 @@ def optimize_swim(
 ) -> None:
     """Optimises drive and tail for the largest steady swimming speed.
 
-    The six variables are the frequency, the set pressure amplitudes of both chambers, the phase of
-    the rear chamber, and the length and bending stiffness EI of the tail. The command writes
+    The six variables are the frequency, the set pressure amplitudes of the first and the last
+    chamber (front and rear), the phase of the last chamber, and the length and bending stiffness EI
+    of the tail. Amplitude and phase change linearly from chamber to chamber. In a robot with one
+    chamber, rear and phase have no influence. The command writes
     checkpoint.npz to DIR after every generation. The final files are optimum.json (history,
     settings, versions), optimum.png and best.toml, which is an experiment for `slider swim`.
 
@@ -139,9 +141,9 @@ def optimize_swim(
         algorithm: optimiser: the genetic algorithm of the paper, gradient ascent from the best
             individuals of the first generation, or CMA-ES.
         frequency: bounds of the stride frequency, in Hz (default: 1 7).
-        front: bounds of the front chamber's pressure amplitude, in Pa (default: 50e3 448e3).
-        rear: bounds of the rear chamber's pressure amplitude, in Pa (default: 50e3 448e3).
-        phase: bounds of the rear chamber's delay, as a fraction of a period (default: -0.5 0.5).
+        front: bounds of the first chamber's pressure amplitude, in Pa (default: 50e3 448e3).
+        rear: bounds of the last chamber's pressure amplitude, in Pa (default: 50e3 448e3).
+        phase: bounds of the last chamber's delay, as a fraction of a period (default: -0.5 0.5).
     """
     experiment = search.start()
     from slider_jax.io.files import output_folder

@@ -26,8 +26,9 @@ def simulate(
     """Simulates all trials of an experiment, and writes the readings of the sensors.
 
     For each trial, the command writes a CSV file to DIR, with the name in the trial's key `file`.
-    The columns are t_s, p_front_Pa, p_rear_Pa, thrust_N, recoil_N and tip_m. The command also
-    writes DIR/summary.json with cycle means, settings and versions.
+    The columns are t_s, the pressure p_NAME_Pa of each chamber, thrust_N, recoil_N, tip_m, and the
+    columns of [[sensors.channels]]. The command also writes DIR/summary.json with cycle means,
+    settings and versions.
 
     Args:
         input: experiment file (.toml), or pressure log of the rig (any other suffix).

@@ -82,7 +82,7 @@ def climb(
         model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
             its [[effects]] are added.
         trial: number of the trial to simulate, counted from 0 (default: all trials).
-        pin_phase: delay from the positive step of the front chamber's set pressure until the left
+        pin_phase: delay from the positive step of the first chamber's set pressure until the left
             end is pinned, as a fraction of a period. The right end is pinned half a period later
             (default: of 16 phases, the phase with the fastest climb).
         link: length of the cross-link, in m.

@@ -22,11 +22,12 @@ from slider_jax.climbing.strides import (
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.step import Carry
 from slider_jax.errors import SolverError
+from slider_jax.experiment.drive import ratios_of
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.prepare import half_period_steps
 from slider_jax.experiment.schema import Trial
 from slider_jax.swimming.free_swim import steady_settings
-from slider_jax.swimming.gait import CAP, LINK, stride_frequency, to_climber
+from slider_jax.swimming.gait import CAP, LINK, is_driven, stride_frequency, to_climber
 from slider_jax.swimming.performance import names_with_units
 
 PHASES = 16
@@ -51,6 +52,10 @@ class ClimbRun:
     """Length of the cross-link [m]."""
     cap: float
     """Highest set pressure [Pa]."""
+    set_pressures: dict[str, float]
+    """Amplitude [Pa] of each chamber's set pressure, before the cap."""
+    is_driven: bool
+    """Whether a chamber or another actuator has a drive."""
     tried: dict[float, float]
     """Speed [m/s] at each compared pin phase; NaN if a step failed; empty if none is compared."""
     found: Climb
@@ -149,7 +154,8 @@ def simulate_climb(
     frequency, base = stride_frequency(trial), to_model(experiment, trial)
     plan = climb_plan(experiment, frequency)
     tried: dict[float, float] = {}
-    if pin_phase is None and trial.amplitude:
+    driven = bool(is_driven(base))
+    if pin_phase is None and driven:
         progress(f"comparing {PHASES} pin phases")
         rough = _rough(experiment, plan, frequency)
         tried = speeds_by_phase(base, frequency, link, cap, rough)
@@ -185,7 +191,12 @@ def simulate_climb(
         series = jax.tree.map(lambda x: x[-whole * plan.steps_per_stride - 1 :], series)
         found = _amounts(model, f, series, plan)
     found, series = jax.device_get((found, series))
-    return ClimbRun(trial, plan, pin_phase, link, cap, tried, found, series, rises, period)
+    names = experiment.chamber_names
+    amplitudes = ((trial.amplitude or 0.0) * x for x in ratios_of(trial, len(names)))
+    given = dict(zip(names, amplitudes, strict=True))
+    return ClimbRun(
+        trial, plan, pin_phase, link, cap, given, driven, tried, found, series, rises, period
+    )
 
 
 UNITS = {

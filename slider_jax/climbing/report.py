@@ -32,11 +32,10 @@ def climb_table(row: dict[str, Any]) -> str:
 
 def climb_summary(run: ClimbRun) -> list[str]:
     """Returns sentences about the pressure cap, the pin phase and the period of the strides."""
-    trial, lines = run.trial, []
-    if not trial.amplitude:
+    lines = []
+    if not run.is_driven:
         return ["the set pressures are 0: the left end stays pinned and the robot hangs"]
-    set_pressures = {"front": trial.amplitude, "rear": trial.amplitude * trial.rear_ratio}
-    cut = [f"{k} {1e-3 * abs(p):g} kPa" for k, p in set_pressures.items() if abs(p) > run.cap]
+    cut = [f"{k} {1e-3 * abs(p):g} kPa" for k, p in run.set_pressures.items() if abs(p) > run.cap]
     if cut:
         lines.append(f"set pressures are cut to {1e-3 * run.cap:g} kPa; given: {', '.join(cut)}")
     left, right = run.pin_phase % 1.0, (run.pin_phase + 0.5) % 1.0

@@ -111,16 +111,34 @@ def drive_of(table: ExperimentTable, trial: Trial, folder: Path) -> Drive:
     count, wave, amplitude = len(table.chambers), _periodic(trial), trial.amplitude or 0.0
     waves = waves_along(wave, count, amplitude, amplitude * trial.rear_ratio, trial.phase)
     if trial.ratios is not None or trial.phases is not None:
-        ratios = trial.ratios or [1.0 + r * (trial.rear_ratio - 1.0) for r in rear_of(count)]
-        delays = delays_of(table, trial)
-        waves = tuple(wave(amplitude * x, y) for x, y in zip(ratios, delays, strict=True))
+        own = zip(ratios_of(trial, count), delays_of(trial, count), strict=True)
+        waves = tuple(wave(amplitude * x, y) for x, y in own)
     return Drive(_limited(table, trial, waves), jnp.zeros(count))
 
 
-def delays_of(table: ExperimentTable, trial: Trial) -> tuple[float, ...]:
+def ratios_of(trial: Trial, chambers: int) -> tuple[float, ...]:
+    """Returns the amplitude of each chamber's set pressure, divided by the trial's amplitude."""
+    given = trial.ratios
+    return given or tuple(float(1.0 + r * (trial.rear_ratio - 1.0)) for r in rear_of(chambers))
+
+
+def delays_of(trial: Trial, chambers: int) -> tuple[float, ...]:
     """Returns the delay of each chamber's set pressure, as a fraction of a period."""
-    given = trial.phases
-    return given or tuple(float(r * trial.phase) for r in rear_of(len(table.chambers)))
+    return trial.phases or tuple(float(r * trial.phase) for r in rear_of(chambers))
+
+
+def drive_text(trial: Trial, chambers: int) -> str:
+    """Returns the ratios and the delays of the chambers' set pressures as text.
+
+    The text is empty if all chambers have the same set pressure.
+    """
+    ratios, delays = ratios_of(trial, chambers), delays_of(trial, chambers)
+    found = []
+    if any(x != 1.0 for x in ratios):
+        found.append(f"ratios {', '.join(f'{x:.3g}' for x in ratios)}")
+    if any(delays):
+        found.append(f"phases {', '.join(f'{x:.3g}' for x in delays)}")
+    return ", ".join(found)
 
 
 def _limited(

@@ -15,7 +15,7 @@ import numpy as np
 from slider_jax.actuation import Held
 from slider_jax.dynamics.model import Drive
 from slider_jax.errors import InputError
-from slider_jax.experiment.drive import check_pascal
+from slider_jax.experiment.drive import check_pascal, pressure_limits, ratios_of
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 from slider_jax.io.csv import read_csv
@@ -47,6 +47,13 @@ class PlayedDrive(NamedTuple):
     """Times [s] at which a square wave changes the set pressures; None for other waveforms."""
 
 
+def _largest(experiment: Experiment, trial: Trial) -> float:
+    """Returns the largest declared |p_set| [Pa] of the first chamber in a periodic drive."""
+    size = (trial.amplitude or 0.0) * ratios_of(trial, len(experiment.chambers))[0]
+    bias = trial.biases[0] if trial.biases else 0.0
+    return float(np.abs(np.clip([bias + size, bias - size], *pressure_limits(experiment)[0])).max())
+
+
 def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
     """Returns the drive in NAME.played.csv, the file beside the trial's measured file NAME.csv.
 
@@ -55,7 +62,7 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
     that differs from the trial's amplitude.
     """
     path = experiment.folder / f"{Path(trial.file).stem}.played.csv"
-    if not path.exists() or trial.drive_is == "measured":
+    if not path.exists() or trial.drive_is == "measured" or not experiment.chambers:
         return None
     names = played_columns(experiment.chamber_names)
     columns = read_csv(path, names)
@@ -67,8 +74,8 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
             f"0 to {trial.duration:g} s; {advice}"
         )
     check_pascal(path, columns, names[1:])
-    first, given = float(np.abs(sets[0]).max()), trial.amplitude
-    if trial.waveform == "square" and given is not None and abs(first - given) > 1e-3 * given + 1.0:
+    first, given = float(np.abs(sets[0]).max()), _largest(experiment, trial)
+    if trial.waveform == "square" and abs(first - given) > 1e-3 * given + 1.0:
         raise InputError(
             f"{path}: the first chamber's amplitude is {first:g} Pa, but {given:g} Pa in the trial "
             f"{trial.file}; correct the trial's amplitude, or {advice}"

@@ -137,7 +137,7 @@ def prepare(
         times = recorded[0]
         spacing = (times[-1] - times[0]) / (len(times) - 1)
     lead = trial.lead
-    delays = delays_of(experiment, trial)
+    delays = delays_of(trial, len(experiment.chambers))
     grid = step_grid(trial, longest, lead + trial.duration, spacing, played, delays)
     numerics, scheme = to_numerics(experiment)
     return PreparedTrial(

@@ -378,8 +378,9 @@ class Trial(Table):
                 fail("drive_file", repr(self.file), "a file other than the trial's `file`")
             return self
         for name, other in (("ratios", "rear_ratio"), ("phases", "phase")):
-            if getattr(self, name) is not None and other in self.model_fields_set:
-                fail(other, getattr(self, other), f"nothing, because the trial has {name}")
+            value, default = getattr(self, other), type(self).model_fields[other].default
+            if getattr(self, name) is not None and value != default:
+                fail(other, value, f"nothing, because the trial has {name}")
         if self.frequency is None:
             fail("frequency", "nothing", f'a number, because waveform is "{self.waveform}"')
         if self.drive_file is not None:

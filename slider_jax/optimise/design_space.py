@@ -135,11 +135,13 @@ def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
 def with_gait(experiment: Experiment, gait: Gait) -> Experiment:
     """Returns the experiment, reduced to the first trial, with the drive and tail of a gait.
 
-    The time step is shortened if the gait's frequency requires it.
+    The trial has no biases, and no own ratios and phases of the chambers. The time step is
+    shortened if the gait's frequency requires it.
     """
     f, front, rear, phase, tail_length, EI_tail = (significant(float(x), 10) for x in gait)
     first = {"waveform": "square", "frequency": f, "amplitude": front, "phase": phase,
-             "rear_ratio": rear / front, "initial": None}  # fmt: skip
+             "rear_ratio": rear / front, "ratios": None, "phases": None, "biases": None,
+             "initial": None}  # fmt: skip
     step = min(experiment.numerics.step, significant(0.0499 / f, 6))
     values = {"robot.tail_length": tail_length, "robot.EI_tail": EI_tail, "numerics.step": step,
               "trials": [experiment.trials[0].model_dump() | first]}  # fmt: skip

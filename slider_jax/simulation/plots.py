@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slider_jax.experiment.drive import drive_text
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.simulation.trial import TrialRun
 
@@ -15,9 +16,9 @@ def run_title(run: TrialRun) -> str:
         drive = f"recorded drive {trial.drive_file}"
     else:
         drive = f"{trial.waveform} {trial.frequency:g} Hz"
-    if trial.amplitude:
-        drive += f", {1e-3 * trial.amplitude:g} kPa, rear {trial.rear_ratio:g} at {trial.phase:g}"
-        drive += " period"
+        if chambers := len(run.prepared.channels.pressures):
+            text = drive_text(trial, chambers)
+            drive += f", {1e-3 * (trial.amplitude or 0.0):g} kPa{text and f', {text}'}"
     support = "free" if trial.support == "free" else f"tow {trial.tow_speed:g} m/s"
     return f"{Path(trial.file).stem}: {drive}, {support}"
 

@@ -6,8 +6,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
-from slider_jax.actuation import SineWave, SquareWave, Trapezoid, Waveform, waves_along
+from slider_jax.actuation import (
+    Biased,
+    Clipped,
+    SineWave,
+    SquareWave,
+    Trapezoid,
+    Waveform,
+    waves_along,
+)
 from slider_jax.beam.parameters import G, Scalar
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.effects.base import ForceDensity, Mounting, WaterMotion, of_place
@@ -76,7 +85,7 @@ def to_climber(
     """Returns the model of a climber in air, head up; both cross-link ends are pinned in turn.
 
     `link` is the cross-link's length [m]. The left end is pinned for the first half of each period
-    1/`frequency` [Hz], starting at `pin_phase` (fraction of a period). If both set pressures are
+    1/`frequency` [Hz], starting at `pin_phase` (fraction of a period). If all set pressures are
     zero, the left end stays pinned. Weight acts on the body; hydrodynamic forces and the carriage
     clamp are omitted. Pressure amplitudes are limited to `cap` [Pa]. Raises `InputError` for an
     effect with inertia but without weight, such as a mass at the tail's tip.
@@ -90,28 +99,52 @@ def to_climber(
     if gait is not None:
         model = driven(model, gait)
     waves = tuple(_capped(wave, cap) for wave in model.drive.waves)
-    is_driven = jnp.any(jnp.stack([wave.amplitude for wave in waves]) != 0.0)
     kept = [e for e in model.effects if not isinstance(e, (WaterMotion, Mounting, Gravity))]
     kept = [e for e in kept if not isinstance(e, ForceDensity) or e.in_air]
     model = replace(
         model,
         effects=(Gravity(G), *kept),
         drive=replace(model.drive, waves=waves),
-        support=PinnedLink(link, jnp.where(is_driven, frequency, 0.0), pin_phase),
+        support=PinnedLink(link, jnp.where(is_driven(model), frequency, 0.0), pin_phase),
         water=(0.0, 0.0),
     )
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
 
-def _capped(wave: Waveform, cap: Scalar) -> Wave:
+def _capped(wave: Waveform, cap: Scalar) -> Waveform:
+    if isinstance(wave, Wave):
+        return replace(wave, amplitude=jnp.clip(wave.amplitude, -cap, cap))
+    return Clipped(wave, -cap, cap)
+
+
+def is_driven(model: Model) -> Array:
+    """Returns whether a periodic set pressure is not zero, or the robot has another actuator."""
+    found = jnp.asarray(bool(model.actuators))
+    for wave in model.drive.waves:
+        found |= _is_driven(wave)
+    return found
+
+
+def _is_driven(wave: Waveform) -> Array:
+    if isinstance(wave, Clipped):
+        return _is_driven(wave.wave)
+    if isinstance(wave, Biased):
+        return _is_driven(wave.wave) | (jnp.asarray(wave.bias) != 0.0)
     assert isinstance(wave, Wave)
-    return replace(wave, amplitude=jnp.clip(wave.amplitude, -cap, cap))
+    return jnp.asarray(wave.amplitude) != 0.0
 
 
 def driven(model: Model, gait: Gait) -> Model:
-    """Returns the model with the tail and the square-wave drive of a gait."""
+    """Returns the model with the tail and the square-wave drive of a gait.
+
+    The limits of the chambers' set pressures remain.
+    """
     robot = model.robot.with_tail(gait.tail_length, gait.EI_tail)
-    return replace(model, robot=robot, drive=Drive(gait_waves(gait, len(robot.chambers))))
+    waves = tuple(
+        replace(old, wave=new) if isinstance(old, Clipped) else new
+        for old, new in zip(model.drive.waves, gait_waves(gait, len(robot.chambers)), strict=True)
+    )
+    return replace(model, robot=robot, drive=Drive(waves))
 
 
 def gait_waves(gait: Gait, chambers: int) -> tuple[Waveform, ...]:

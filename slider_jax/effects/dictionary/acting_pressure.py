@@ -16,7 +16,7 @@ PRESSURE = 20e3
 
 
 class RearActingPressure:
-    """The rear chamber; only its acting pressure changes."""
+    """The last chamber; only its acting pressure changes."""
 
     def act(self, p, memory, dt):
         acting, memory = super().act(p, memory, dt)  # type: ignore[misc]
@@ -43,13 +43,13 @@ class ActingPressureTerm(Powers, ActingPressure):
 
 
 class ActingPressureOfOther(ActingPressureTerm):
-    """p_act changes by a function f of the other chamber's pressure p_other.
+    """p_act changes by a function f of p_other, the mean pressure of the other chambers.
 
     f is a sum of p_other, |p_other| and p_other^2.
     """
 
-    title = "moment of each chamber that depends on the other chamber's pressure"
-    term_curve = Curve("pressure of the other chamber", "Pa", "change of the pressure", "Pa")
+    title = "moment of each chamber that depends on the other chambers' pressure"
+    term_curve = Curve("pressure of the other chambers", "Pa", "change of the pressure", "Pa")
     scale: Scalar = shape_parameter(200e3, 1e3, 2e6, "Pa", WHY_SCALE)
     """State beyond which the function is constant. A learned function uses the 99.5 % quantile of
     the visited |p|."""

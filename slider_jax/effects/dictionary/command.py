@@ -51,7 +51,7 @@ class Selected(Waveform):
 
 
 class RearCommand:
-    """The rear chamber; only its set pressure changes."""
+    """The last chamber; only its set pressure changes."""
 
     def command(self, wave, rear):
         return Selected(rear == 1.0, super().command(wave, rear), wave)  # type: ignore[misc]
@@ -169,9 +169,9 @@ class SetPressureGainDrift(RigDrift, Command):
 
 
 class RearSetPressureGainDrift(RearCommand, SetPressureGainDrift):
-    """The gain of the rear chamber's set pressure changes by a function of the time t."""
+    """The gain of the last chamber's set pressure changes by a function of the time t."""
 
-    title = "gain of the rear chamber's set pressure that drifts during a trial"
+    title = "gain of the last chamber's set pressure that drifts during a trial"
 
 
 class SetPressureSineTerm(Sine, Command):
@@ -271,12 +271,12 @@ class SetPressureWithCorners(SetPressureTerm):
 
 
 class RearSetPressure(RearCommand, SetPressureTerm):
-    """The rear chamber's set pressure changes by a function f of the commanded set pressure.
+    """The last chamber's set pressure changes by a function f of the commanded set pressure.
 
     f is a sum of p_set, |p_set| and p_set^2.
     """
 
-    title = "error of the rear chamber's set pressure"
+    title = "error of the last chamber's set pressure"
 
     def basis(self, z):
         return mixed_powers(z / self.scale, PRESSURE)

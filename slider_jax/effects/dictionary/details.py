@@ -5,8 +5,8 @@ state zero only roughly. `FINE_PARTS` contains the same functions with a quarter
 the scale. These functions are constant beyond their scale, so they change the slope of the learned
 function only near zero.
 
-A term of the chambers is equal in both chambers. `REAR_PARTS` contains the same term in the rear
-chamber only, so that the chambers can differ. `REAR_READINGS` are the same for the two pressure
+A term of the chambers is equal in all chambers. `REAR_PARTS` contains the same term in the last
+chamber only, so that the chambers can differ. `REAR_READINGS` are the same for the pressure
 sensors. They are terms of the dictionary, because most faults of a sensor concern one sensor, and
 their tangents cost no simulation.
 """
@@ -81,7 +81,7 @@ def _part(kind: type[Effect], base: type, suffix: str, title: str) -> type[Effec
 
 
 def _has_rear_part(kind: type[Effect]) -> bool:
-    """Returns whether the term acts in both chambers, and has no frequency."""
+    """Returns whether the term acts in all chambers, and has no frequency."""
     of_chambers = kind.sensors == ("pressure",) or not issubclass(kind, Instrument)
     of_both = of_chambers and not kind.name().startswith(ONE_CHAMBER)
     return of_both and issubclass(kind, tuple(REAR_PLACES)) and "frequency" not in kind.shapes()
@@ -91,7 +91,7 @@ def _rear_parts(of_readings: bool) -> dict[str, type[Effect]]:
     found = {}
     for kind in filter(_has_rear_part, _terms()):
         base = next(x for place, x in REAR_PLACES.items() if issubclass(kind, place))
-        title = "rear sensor only" if of_readings else "difference of the rear chamber"
+        title = "last chamber's sensor only" if of_readings else "difference of the last chamber"
         if (base is RearReading) == of_readings:
             found[kind.name()] = _part(kind, base, "OfRear", title)
     return found
@@ -102,9 +102,9 @@ def _has_fine_part(kind: type[Effect]) -> bool:
 
 
 REAR_PARTS = _rear_parts(of_readings=False)
-"""The part of the rear chamber of each term that has one, by the name of the term."""
+"""The part of the last chamber of each term that has one, by the name of the term."""
 REAR_READINGS = {kind.name(): kind for kind in _rear_parts(of_readings=True).values()}
-"""Terms of the rear pressure sensor, by their own names."""
+"""Terms of the last chamber's pressure sensor, by their own names."""
 FINE_PARTS: dict[str, type[Effect]] = {
     kind.name(): _part(kind, FinePart, "Fine", "details near zero")
     for kind in (*_terms(), *REAR_PARTS.values(), *REAR_READINGS.values())

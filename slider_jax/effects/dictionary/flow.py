@@ -49,7 +49,7 @@ class FlowTerm(Powers, Flow):
 
 
 class RearFlow:
-    """The rear chamber; only its flow changes."""
+    """The last chamber; only its flow changes."""
 
     def rate(self, rate, x):
         return jnp.where(x.rear == 1.0, super().rate(rate, x), rate)  # type: ignore[misc]
@@ -96,12 +96,12 @@ class FlowOfPressureWithCorners(PressureTerm):
 
 
 class RearFlowOfPressure(RearFlow, PressureTerm):
-    """dp/dt of the rear chamber changes by a function f of its pressure p.
+    """dp/dt of the last chamber changes by a function f of its pressure p.
 
     f is a sum of p, |p| and p^2.
     """
 
-    title = "flow into the rear chamber that depends on the pressure"
+    title = "flow into the last chamber that depends on the pressure"
 
     def basis(self, z):
         return mixed_powers(z / self.scale, RATE)
@@ -146,25 +146,27 @@ class FlowOfDifferenceBySide(OwnDifferenceTerm):
 
 
 class RearFlowOfDifference(RearFlow, OwnDifferenceTerm):
-    """dp/dt of the rear chamber changes by a function f of its difference p_set - p.
+    """dp/dt of the last chamber changes by a function f of its difference p_set - p.
 
     f is a sum of the difference, its absolute value and its square.
     """
 
-    title = "flow into the rear chamber that depends on the pressure difference"
+    title = "flow into the last chamber that depends on the pressure difference"
 
     def basis(self, z):
         return mixed_powers(z / self.scale, RATE)
 
 
 class FlowOfOtherDifference(DifferenceTerm):
-    """dp/dt changes by a function f of the other chamber's difference p_set - p.
+    """dp/dt changes by a function f of the other chambers' mean difference p_set - p.
 
     f is a sum of the difference, its absolute value and its square.
     """
 
-    title = "flow that depends on the pressure difference of the other chamber"
-    term_curve = Curve("difference p_set - p of the other chamber", "Pa", "change of dp/dt", "Pa/s")
+    title = "flow that depends on the pressure difference of the other chambers"
+    term_curve = Curve(
+        "difference p_set - p of the other chambers", "Pa", "change of dp/dt", "Pa/s"
+    )
 
     def state(self, x):
         return mean_of_others(x.p_set - x.p)
@@ -214,10 +216,10 @@ class FlowOfLaggedDifference(Powers, Flow):
 
 
 class FlowBetweenChambers(FlowTerm):
-    """dp/dt changes by an odd function f of the difference d between the two chambers' pressures.
+    """dp/dt changes by an odd function f of the difference d of the chambers' pressures.
 
-    d is the pressure of the chamber minus the pressure of the other chamber. f is a sum of a smooth
-    square root (an orifice), a linear function (a narrow gap) and d |d|.
+    d is the pressure of the chamber minus the mean pressure of the other chambers. f is a sum of a
+    smooth square root (an orifice), a linear function (a narrow gap) and d |d|.
     """
 
     title = "flow between the chambers that depends on their pressure difference"
@@ -279,14 +281,14 @@ class OpeningTerm(Powers, Flow):
 
 
 class OfFrontValve:
-    """The valves of the front chamber; f acts only there."""
+    """The valves of the first chamber; f acts only there."""
 
     def acts(self, x: Chamber) -> Array:
         return jnp.asarray(x.rear) == 0.0
 
 
 class OfRearValve:
-    """The valves of the rear chamber; f acts only there."""
+    """The valves of the last chamber; f acts only there."""
 
     def acts(self, x: Chamber) -> Array:
         return jnp.asarray(x.rear) == 1.0
@@ -313,12 +315,12 @@ class VentingOpening(OpeningTerm):
 class FillingOpeningOfOther(OpeningTerm):
     """1/k changes by a function f of d while the chamber fills, because both share a supply.
 
-    d is the pressure difference that fills the other chamber: side (p_set - p), or 0 if the other
-    chamber does not fill.
+    d is the mean pressure difference that fills the other chambers: side (p_set - p), or 0 for a
+    chamber that does not fill.
     """
 
-    title = "valve whose flow depends on the filling of the other chamber"
-    term_curve = Curve("difference that fills the other chamber", "Pa", "change of 1/k", "1/s")
+    title = "valve whose flow depends on the filling of the other chambers"
+    term_curve = Curve("difference that fills the other chambers", "Pa", "change of 1/k", "1/s")
 
     def state(self, x):
         return mean_of_others(jnp.maximum(x.side * (x.p_set - x.p), 0.0))
@@ -328,9 +330,9 @@ class FillingOpeningOfOther(OpeningTerm):
 
 
 class RearOpening(RearFlow, ValveOpening):
-    """1/k of the rear chamber changes by a function f of |p|."""
+    """1/k of the last chamber changes by a function f of |p|."""
 
-    title = "valve of the rear chamber whose opening depends on the pressure"
+    title = "valve of the last chamber whose opening depends on the pressure"
 
 
 class OpeningOfSetPressure(OpeningTerm):
@@ -347,7 +349,7 @@ class OpeningOfSetPressure(OpeningTerm):
 
 
 class OpeningOfOther(OpeningTerm):
-    """1/k of one chamber changes by a function f of |p| of the other chamber."""
+    """1/k of one chamber changes by a function f of |p_other|, the mean |p| of the others."""
 
     term_curve = Curve("pressure |p_other|", "Pa", "change of 1/k", "1/s")
 
@@ -356,15 +358,15 @@ class OpeningOfOther(OpeningTerm):
 
 
 class FrontOpeningOfOther(OfFrontValve, OpeningOfOther):
-    """1/k of the front chamber changes by a function f of |p_rear|."""
+    """1/k of the first chamber changes by a function f of |p_other|."""
 
-    title = "valve of the front chamber whose opening depends on the rear chamber's pressure"
+    title = "valve of the first chamber whose opening depends on the other chambers' pressure"
 
 
 class RearOpeningOfOther(OfRearValve, OpeningOfOther):
-    """1/k of the rear chamber changes by a function f of |p_front|."""
+    """1/k of the last chamber changes by a function f of |p_other|."""
 
-    title = "valve of the rear chamber whose opening depends on the front chamber's pressure"
+    title = "valve of the last chamber whose opening depends on the other chambers' pressure"
 
 
 class OpeningOfDifference(OpeningTerm):
@@ -381,19 +383,19 @@ class OpeningOfDifference(OpeningTerm):
 
 
 class FrontOpeningOfDifference(OfFrontValve, OpeningOfDifference):
-    """1/k of the front chamber changes by a function f of |p_rear| - |p_front|."""
+    """1/k of the first chamber changes by a function f of |p_other| - |p|."""
 
-    title = "valve of the front chamber whose opening depends on the difference of the pressures"
+    title = "valve of the first chamber whose opening depends on the difference of the pressures"
 
 
 class RearOpeningOfDifference(OfRearValve, OpeningOfDifference):
-    """1/k of the rear chamber changes by a function f of |p_front| - |p_rear|."""
+    """1/k of the last chamber changes by a function f of |p_other| - |p|."""
 
-    title = "valve of the rear chamber whose opening depends on the difference of the pressures"
+    title = "valve of the last chamber whose opening depends on the difference of the pressures"
 
 
 class OpeningDrift(RigDrift, Flow):
-    """1/k of both chambers changes by a function of the time t. The state of a chamber is t."""
+    """1/k of all chambers changes by a function of the time t. The state of a chamber is t."""
 
     title = "valves whose opening drifts during a trial"
     states = 1
@@ -407,30 +409,30 @@ class OpeningDrift(RigDrift, Flow):
 
 
 class RearOpeningDrift(RearFlow, OpeningDrift):
-    """1/k of the rear chamber changes by a function of the time t."""
+    """1/k of the last chamber changes by a function of the time t."""
 
-    title = "valve of the rear chamber whose opening drifts during a trial"
+    title = "valve of the last chamber whose opening drifts during a trial"
 
 
 class OpeningOfSum(OpeningTerm):
-    """1/k of one chamber changes by an even function f of the sum of both pressures."""
+    """1/k of one chamber changes by an even function f of the sum of the pressures."""
 
-    term_curve = Curve("sum |p_front + p_rear|", "Pa", "change of 1/k", "1/s")
+    term_curve = Curve("sum |p + p_other|", "Pa", "change of 1/k", "1/s")
 
     def state(self, x):
         return jnp.abs(x.p + mean_of_others(x.p))
 
 
 class FrontOpeningOfSum(OfFrontValve, OpeningOfSum):
-    """1/k of the front chamber changes by a function f of |p_front + p_rear|."""
+    """1/k of the first chamber changes by a function f of |p + p_other|."""
 
-    title = "valve of the front chamber whose opening depends on the sum of both pressures"
+    title = "valve of the first chamber whose opening depends on the sum of the pressures"
 
 
 class RearOpeningOfSum(OfRearValve, OpeningOfSum):
-    """1/k of the rear chamber changes by a function f of |p_front + p_rear|."""
+    """1/k of the last chamber changes by a function f of |p + p_other|."""
 
-    title = "valve of the rear chamber whose opening depends on the sum of both pressures"
+    title = "valve of the last chamber whose opening depends on the sum of the pressures"
 
 
 class OpeningOfRecentFlow(OpeningTerm):

@@ -102,14 +102,14 @@ def _in_chamber(rear: float, read: Readings, true: Readings) -> Readings:
 
 
 class FrontSensorTerm(SensorTerm):
-    """A term of the pressure sensors that changes only the front pressure."""
+    """A term of the pressure sensors that changes only the first chamber's reading."""
 
     def read(self, true):
         return _in_chamber(0.0, super().read(true), true)
 
 
 class RearReading:
-    """The sensor of the rear pressure; only its reading changes."""
+    """The sensor of the last chamber's pressure; only its reading changes."""
 
     def read(self, true):
         return _in_chamber(1.0, super().read(true), true)  # type: ignore[misc]
@@ -207,7 +207,7 @@ class SensorCorners(OwnPowers):
 class OtherPowers(SensorPowers):
     """f is a sum of q, |q| and q^2, where q is the reading of another sensor, the source.
 
-    If the source has two fields, as the pressure sensors have, f is the sum over both fields.
+    If the source has several fields, as the pressure sensors have, f is the sum over all fields.
     """
 
     def basis(self, z):
@@ -401,12 +401,12 @@ class PressureReadingPowersBySign(OfPressure, SensorEvenPowers):
 
 
 class FrontPressureReading(FrontSensorTerm, OfPressure, OwnPowers):
-    """An error of the front pressure sensor that is a function f of the reading.
+    """An error of the first chamber's pressure sensor that is a function f of the reading.
 
     f is a sum of q, |q| and q^2. q is the reading divided by 100 kPa.
     """
 
-    title = "error of the front pressure sensor"
+    title = "error of the first chamber's pressure sensor"
 
     def basis(self, z):
         return mixed_powers(z / self.scale)
@@ -419,9 +419,9 @@ class PressureReadingHysteresis(OfPressure, SensorHysteresis):
 
 
 class FrontPressureReadingHysteresis(FrontSensorTerm, OfPressure, SensorHysteresis):
-    """A hysteresis of the front pressure sensor."""
+    """A hysteresis of the first chamber's pressure sensor."""
 
-    title = "hysteresis of the front pressure sensor"
+    title = "hysteresis of the first chamber's pressure sensor"
 
 
 class PressureReadingDrift(OfPressure, SensorDrift):
@@ -448,7 +448,7 @@ class PressureReadingOfOther(OfPressure, SensorPowers):
     f is a sum of q, |q| and q^2. q is the mean pressure of the other chambers divided by 100 kPa.
     """
 
-    title = "error of the pressure sensors that depends on the other chamber's pressure"
+    title = "error of the pressure sensors that depends on the other chambers' pressure"
     term_curve = Curve("other pressure divided by 100 kPa", "-", "change divided by 100 kPa", "-")
 
     def source(self):

@@ -14,13 +14,13 @@ class ChamberCrosstalk(ActingPressure):
     ch. 2.
     """
 
-    title = "each chamber also bends the other chamber's span"
+    title = "each chamber also bends the other chambers' spans"
     order = 240
 
     share: Scalar = parameter(
         0.0, -0.1, 0.3, "-", "the chambers are 1 cm apart and have a common skin"
     )
-    """c, fraction of a chamber's moment that acts on the body around the other chamber."""
+    """c, fraction of a chamber's moment that acts on the body around the other chambers."""
 
     def act(self, p, memory, dt):
         return p + self.share * mean_of_others(p), memory

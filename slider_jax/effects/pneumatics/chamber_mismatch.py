@@ -1,4 +1,4 @@
-"""A difference between front and rear chambers."""
+"""A difference between the first and the last chamber."""
 
 from slider_jax.actuation.waveform import rear_of
 from slider_jax.beam.parameters import Scalar
@@ -6,7 +6,7 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ChamberMismatch(ActingPressure):
-    """The front and the rear chambers have different K_Q. The mean K_Q is unchanged.
+    """The first and the last chamber have different K_Q. The mean K_Q is unchanged.
 
         p_act = (1 + d (1 - 2 r)) p
 
@@ -15,13 +15,13 @@ class ChamberMismatch(ActingPressure):
     (2015), Modeling of soft fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
     """
 
-    title = "front and rear chambers bend differently"
+    title = "first and last chamber bend differently"
     order = 230
 
     difference: Scalar = parameter(
         0.0, -0.3, 0.3, "-", "hand-made chambers differ by tens of percent"
     )
-    """d, half of the difference of K_Q (front minus rear), divided by the mean K_Q."""
+    """d, half of the difference of K_Q (first minus last), divided by the mean K_Q."""
 
     def act(self, p, memory, dt):
         return p * (1.0 + self.difference * (1.0 - 2.0 * rear_of(p.shape[-1]))), memory

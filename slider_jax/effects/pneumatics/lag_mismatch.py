@@ -1,4 +1,4 @@
-"""Different time constants of the two chambers."""
+"""Different time constants of the chambers."""
 
 import math
 
@@ -7,7 +7,7 @@ from slider_jax.effects.base import Flow, parameter
 
 
 class LagMismatch(Flow):
-    """The rear chamber has a different time constant, for example because of a longer hose.
+    """The last chamber has a different time constant, for example because of a longer hose.
 
         dp/dt = (p_set - p)/(k (1 + x r))
 
@@ -15,7 +15,7 @@ class LagMismatch(Flow):
     charge of a volume through a line, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
-    title = "the rear chamber has a different lag"
+    title = "the last chamber has another lag than the first chamber"
     order = 80
     rear_only = True
 
@@ -24,10 +24,10 @@ class LagMismatch(Flow):
         -0.5,
         1.0,
         "-",
-        "hoses and volumes of the two chambers differ by up to a factor of two",
+        "hoses and volumes of the chambers differ by up to a factor of two",
         physical=(-0.95, math.inf),
     )
-    """x, relative difference of the rear chamber's time constant from the first chamber's k."""
+    """x, relative difference of the last chamber's time constant from the first chamber's k."""
 
     def rate(self, rate, x):
         return rate / (1.0 + self.x * x.rear)

@@ -1,4 +1,4 @@
-"""Additional dead time of the rear chamber's valve."""
+"""Additional dead time of the last chamber's valve."""
 
 from slider_jax.actuation.waveform import Delayed
 from slider_jax.beam.parameters import Scalar
@@ -15,7 +15,7 @@ class RearValveDelay(Command):
     P. (2007), Pneumatic Drives, Springer, ch. 5.
     """
 
-    title = "the rear valve acts later than the front valve"
+    title = "the last chamber's valve acts later than the first chamber's"
     order = 60
     rear_only = True
 

@@ -6,7 +6,7 @@ from slider_jax.effects.base import Command, parameter
 
 
 class RegulatorOffset(Command):
-    """The set pressure at the valves of both chambers is too large by the constant p_0.
+    """The set pressure at the valves of all chambers is too large by the constant p_0.
 
         p_set,valve = p_set + p_0
 

@@ -5,7 +5,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class PressureDrift(Instrument):
-    """The zeros of both pressure sensors drift linearly with the time t since the trial's start.
+    """The zeros of all pressure sensors drift linearly with the time t since the trial's start.
 
         p_read = p + r t
 

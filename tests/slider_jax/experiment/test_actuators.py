@@ -8,8 +8,11 @@ from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.time_schemes import SDIRK2
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model, to_numerics
+from slider_jax.experiment.playback import read_played
+from slider_jax.io.files import write_csv
 from slider_jax.observables import thrust
 from slider_jax.simulation.trial import simulate_trial
+from slider_jax.swimming.gait import to_climber
 from tests.support.experiments import write_small_experiment
 
 SPANS = "front_chamber = [0.02, 0.145]\nrear_chamber = [0.155, 0.28]\n"
@@ -427,3 +430,32 @@ def test_a_recorded_drive_has_a_column_for_each_chamber(tmp_path):
         InputError, match="column p_c1_Pa is missing; given t_s, p_c0_Pa, p_rear_Pa"
     ):
         to_model(load(path))
+
+
+def test_a_climber_keeps_the_limits_and_biases_of_its_chambers(tmp_path):
+    """The cap of 100 kPa is lower than the amplitude and higher than the limit of c1."""
+    limited = evenly(3).replace('name = "c1"', 'name = "c1"\nlimit = 60e3')
+    biased = ("phase = 0.1\n", "phase = 0.1\nbiases = [0.0, 0.0, 20e3]\n")
+    model = to_model(load(with_actuators(tmp_path, limited, biased)))
+    climber = to_climber(model, 4.0, 0.0, cap=100e3)
+    at = np.asarray(0.06), np.asarray(0.061)
+    found = [float(x.segment(*at).a0) for x in climber.drive.waves]
+    np.testing.assert_allclose(found, [100e3, 60e3, 100e3])
+    assert float(climber.support.frequency) == 4.0
+    still = ("amplitude = 150000.0", "amplitude = 0.0"), ("amplitude = 250000.0", "amplitude = 0.0")
+    for actuators, frequency in (("", 0.0), (limited, 0.0), (tendon("t", "tension = 1.0"), 4.0)):
+        model = to_model(load(with_actuators(tmp_path, actuators, *still)))
+        assert float(to_climber(model, 4.0, 0.0).support.frequency) == frequency
+
+
+def test_a_played_drive_has_the_amplitude_of_the_first_chamber(tmp_path):
+    own = ("rear_ratio = 0.9\nphase = 0.1\n", "ratios = [-0.5, 1.0]\nbiases = [10e3, 0.0]\n")
+    experiment = load(with_actuators(tmp_path, FRONT + REAR, own))
+    columns = {"t_s": np.array([0.0, 0.4, 0.75]), "set_front_Pa": np.array([-65e3, 85e3, 85e3])}
+    played = tmp_path / "trial_00.played.csv"
+    write_csv(played, columns | {"set_rear_Pa": np.full(3, 150e3)})
+    assert read_played(experiment, experiment.trials[0]) is not None
+    columns["set_front_Pa"][1:] = 60e3
+    write_csv(played, columns | {"set_rear_Pa": np.full(3, 150e3)})
+    with pytest.raises(InputError, match="amplitude is 65000 Pa, but 85000 Pa in the trial"):
+        read_played(experiment, experiment.trials[0])
