@@ -178,19 +178,26 @@ def speed_at(task: Task, gait: Gait) -> float:
 def write_optimum(
     task: Task, found: OptimisationResult, folder: Path, inputs: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Writes best.toml, optimum.json and optimum.png; returns the content of optimum.json."""
+    """Writes best.toml, optimum.json and optimum.png; returns the content of optimum.json.
+
+    Without `inputs`, the robot is the paper's robot, and the content has the paper's optimum.
+    """
     gait = Gait(*(float(x) for x in task.box.gait(found.best)))
     own, _ = to_numerics(task.experiment)
     finer = task._replace(search=task.search._replace(numerics=own))
+    effects = to_model(task.experiment, 0).effects
     content = {
         "speed_m_per_s": found.score,
+        "resisting": [e.name() for e in effects if e.resists_axially],
         "own_mesh": {"nodes": own.nodes, "speed_m_per_s": speed_at(finer, gait)},
         "gait": gait._asdict(),
         "paper": {
             "gait": PAPER_GAIT._asdict(),
             "speed_there_m_per_s": speed_at(task, PAPER_GAIT),
             "published_m_per_s": PUBLISHED["speed_m_per_s"]._asdict(),
-        },
+        }
+        if not inputs
+        else None,
         "sensitivity": {"per": "width of the bounds", **sensitivity(task, found.best)._asdict()},
         "history": [x._asdict() for x in found.history],
         "last_population": {"unit_box": found.population, "scores": found.scores},
@@ -206,28 +213,40 @@ def write_optimum(
 
 
 def optimum_summary(content: dict[str, Any]) -> list[str]:
-    """Returns the lines of a table that compares the optimum with the paper's optimum."""
+    """Returns the lines of a table of the optimum, and of the paper's optimum if it is known."""
     gait, paper = content["gait"], content["paper"]
     gradient = content["sensitivity"]["gradient"]
     hessian = np.diag(content["sensitivity"]["hessian"])
-    lines = [f"{'':22}{'here':>10}{'paper':>10}{'gradient':>12}{'curvature':>12}"]
+    title = f"{'paper':>10}" if paper else ""
+    lines = [f"{'':22}{'here':>10}{title}{'gradient':>12}{'curvature':>12}"]
     for i, (name, variable) in enumerate(VARIABLES.items()):
         label, factor = f"{name} ({variable.unit})", variable.factor
+        there = f"{factor * paper['gait'][name]:10.4g}" if paper else ""
         lines.append(
-            f"{label:22}{factor * gait[name]:10.4g}{factor * paper['gait'][name]:10.4g}"
+            f"{label:22}{factor * gait[name]:10.4g}{there}"
             f"{1e2 * gradient[i]:12.3g}{1e2 * hessian[i]:12.3g}"
         )
     lines.append(
         "gradient and curvature of the speed [cm/s]; variables are divided by the bounds' widths"
     )
-    published, own = paper["published_m_per_s"], content["own_mesh"]
-    lines.append(
+    own = content["own_mesh"]
+    best = (
         f"best speed {1e2 * content['speed_m_per_s']:.2f} cm/s, on {own['nodes']} nodes "
-        f"{1e2 * own['speed_m_per_s']:.2f} cm/s; the paper's optimum: "
-        f"{1e2 * paper['speed_there_m_per_s']:.2f} cm/s in this model, "
-        f"{1e2 * published['model']:.1f} cm/s in the paper's model, "
-        f"{1e2 * published['experiment']:.1f} cm/s measured"
+        f"{1e2 * own['speed_m_per_s']:.2f} cm/s"
     )
+    if paper:
+        published = paper["published_m_per_s"]
+        best += (
+            f"; the paper's optimum: {1e2 * paper['speed_there_m_per_s']:.2f} cm/s in this model, "
+            f"{1e2 * published['model']:.1f} cm/s in the paper's model, "
+            f"{1e2 * published['experiment']:.1f} cm/s measured"
+        )
+    lines.append(best)
+    if not content["resisting"]:
+        lines.append(
+            "no effect resists motion along the body, so the speed is far too high: add an effect "
+            "such as head_drag"
+        )
     return lines
 
 
