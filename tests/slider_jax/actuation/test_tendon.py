@@ -144,6 +144,7 @@ def bent_stage():
     return y, replace(stage, actuators=model.actuators)
 
 
+@pytest.mark.slow
 def test_jacobian_and_solver_match_a_dense_matrix():
     y, stage = bent_stage()
     assert float(tensions_of(y, stage).min()) == 0.0 < float(tensions_of(y, stage).max())
@@ -162,6 +163,7 @@ def test_jacobian_and_solver_match_a_dense_matrix():
     assert float(jnp.abs((found - exact.reshape(y.shape)) / size).max()) < 1e-7
 
 
+@pytest.mark.slow
 def test_motion_converges_at_second_order():
     """Taut or pushing tendons; order above 1.8 of tensions, tip angle and recoil."""
     runs = [runs_of([replace(x, pushes=True) for x in PAIR[:2]], n) for n in (160, 320, 640)]
@@ -171,6 +173,7 @@ def test_motion_converges_at_second_order():
     assert min(slopes) > 1.8
 
 
+@pytest.mark.slow
 def test_motion_converges_while_tendons_slacken():
     """No stage fails, and the change from 320 to 640 steps is below 1 % of the largest angle."""
     runs = [runs_of(PAIR[:2], n) for n in (320, 640)]

@@ -29,7 +29,7 @@ def rod(lengths, **properties) -> Model:
     body = part(lengths, **properties)
     tail = part(L - float(body.length), EI=np.asarray(properties["EI"]).flat[-1].item())
     base = uniform()
-    robot = Robot(body, tail, (0.02, 0.1), (0.1, 0.2), 0.0)
+    robot = Robot(body, tail, ((0.02, 0.1), (0.1, 0.2)), 0.0)
     return arrays(replace(base, robot=robot))
 
 

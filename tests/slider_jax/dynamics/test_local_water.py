@@ -87,6 +87,7 @@ def test_uniform_water_as_function_or_grid_is_uniform_water(support):
 G = [[[1.2, 0.0], [0.0, -1.2]], [[0.0, 1.5], [0.0, 0.0]], [[0.7, -0.4], [2.0, -0.7]]]
 
 
+@pytest.mark.slow
 def test_a_rigid_towed_body_in_shear_and_strain_has_the_force_of_potential_flow():
     """F_n = m_A n . (U_tau dU/dtau + V_n dU/dn), F_tau = 0. Tolerance 1e-3 of force and moment.
 
@@ -181,6 +182,7 @@ def foil_quadrature(phase, cells=64, times=400):
     return (-np.sin(angle) * F_n).mean() * FOIL, (angle * U_y).mean()
 
 
+@pytest.mark.slow
 def test_a_pitching_foil_in_a_street_has_thrust_or_drag_by_its_phase():
     """The mean force is that of an independent quadrature, within 2 % of its range.
 
