@@ -77,7 +77,7 @@ def copy_experiment(path: Path, folder: Path) -> None:
     table, _ = load_trials(path)
     write_bytes(folder / "experiment.toml", path.read_bytes())
     drives = [x.drive_file for x in table.trials if x.drive_file]
-    for name in {*drives, *table.robot.files, *table.water.files}:
+    for name in {*drives, *table.files}:
         write_bytes(folder / name, (path.parent / name).read_bytes())
 
 

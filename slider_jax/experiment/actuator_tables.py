@@ -97,6 +97,10 @@ class MomentTable(Table):
         """Column of the command in a recorded drive."""
         return self.name
 
+    @property
+    def files(self) -> list[str]:
+        return [self.table]
+
 
 Curvature = Annotated[float, Quantity(-1000.0, 1000.0)]
 
@@ -115,6 +119,10 @@ class ShapeTable(Table):
     phase: Phase = 0.0
     bias: Curvature = 0.0
     file: FileName | None = None
+
+    @property
+    def files(self) -> list[str]:
+        return [] if self.file is None else [self.file]
 
     @model_validator(mode="after")
     def _has_one_source(self) -> Self:
@@ -188,7 +196,7 @@ def _overlap(x: ActuatorTable, y: ActuatorTable) -> bool:
     return alike and near < far * (1.0 - 1e-9)
 
 
-Count = Annotated[tuple[str, ...], FROM_LIST, Field(min_length=1, max_length=2)]
+Columns = Annotated[tuple[str, ...], FROM_LIST, Field(min_length=1, max_length=2)]
 BUILT_IN_KINDS = ("pressure", "thrust", "recoil", "tip")
 """Kinds of channels that exist without a table. Their tables change the column and the errors."""
 AT_A_PLACE = ("marker", "curvature", "angle", "turning_rate")
@@ -220,7 +228,7 @@ tank, m |
         "turning_rate", "speed",
     ]  # fmt: skip
     name: Name | None = None
-    columns: Count
+    columns: Columns
     actuator: Name | None = None
     s: Length | None = None
     noise: Annotated[float, Quantity(0.0, 1e5)] = 0.0

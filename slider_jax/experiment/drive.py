@@ -23,7 +23,6 @@ from slider_jax.actuation import (
     Waveform,
     rear_of,
     recorded_shape,
-    waves_along,
 )
 from slider_jax.channels import TIME
 from slider_jax.dynamics.model import Drive
@@ -109,17 +108,15 @@ def drive_of(table: ExperimentTable, trial: Trial, folder: Path) -> Drive:
             return Drive(recorded, start)
         return Drive(recorded, jnp.zeros(len(recorded)))
     count, wave, amplitude = len(table.chambers), _periodic(trial), trial.amplitude or 0.0
-    waves = waves_along(wave, count, amplitude, amplitude * trial.rear_ratio, trial.phase)
-    if trial.ratios is not None or trial.phases is not None:
-        own = zip(ratios_of(trial, count), delays_of(trial, count), strict=True)
-        waves = tuple(wave(amplitude * x, y) for x, y in own)
+    both = zip(ratios_of(trial, count), delays_of(trial, count), strict=True)
+    waves = tuple(wave(amplitude * ratio, delay) for ratio, delay in both)
     return Drive(_limited(table, trial, waves), jnp.zeros(count))
 
 
 def ratios_of(trial: Trial, chambers: int) -> tuple[float, ...]:
     """Returns the amplitude of each chamber's set pressure, divided by the trial's amplitude."""
     given = trial.ratios
-    return given or tuple(float(1.0 + r * (trial.rear_ratio - 1.0)) for r in rear_of(chambers))
+    return given or tuple(float(1.0 - r + r * trial.rear_ratio) for r in rear_of(chambers))
 
 
 def delays_of(trial: Trial, chambers: int) -> tuple[float, ...]:

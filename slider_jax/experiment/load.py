@@ -43,8 +43,8 @@ class Experiment(ExperimentTable):
 
     @property
     def profiles(self) -> list[dict[str, Any]]:
-        """Paths and SHA-256 digests of the segments' profiles and of the water's field."""
-        return input_files(*(self.folder / name for name in (*self.robot.files, *self.water.files)))
+        """Paths and SHA-256 digests of the files that robot, water and actuators need."""
+        return input_files(*(self.folder / name for name in self.files))
 
     @property
     def channels(self) -> ChannelSet:

@@ -22,13 +22,14 @@ from slider_jax.io.csv import read_csv
 
 
 def played_columns(chambers: Sequence[str]) -> tuple[str, ...]:
-    """Returns the columns of a .played.csv file: the time and the set pressure of each chamber."""
+    """Returns the columns of a .played.csv file: the time and the set pressure of each chamber.
+
+    The set pressures of a row apply from the row's time until the time of the next row. The time of
+    the last row is the end of the drive.
+    """
     return "t_s", *(f"set_{name}_Pa" for name in chambers)
 
 
-PLAYED_COLUMNS = played_columns(("front", "rear"))
-"""Columns of SLIDER's .played.csv files. The set pressures of a row apply from the row's time until
-the time of the next row. The last row is the end of the drive."""
 LEAST_ROWS = 64
 """Smallest number of samples in a `Held` wave. Each wave is padded to a power of two, so that
 trials with different numbers of samples share compiled programs."""

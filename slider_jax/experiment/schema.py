@@ -65,11 +65,6 @@ class BodyTable(Table):
         """Lengths [m] of tail and body."""
         raise NotImplementedError
 
-    @property
-    def files(self) -> list[str]:
-        """Names of the files that the table needs."""
-        return []
-
     @model_validator(mode="after")
     def _chambers_do_not_overlap(self) -> Self:
         _, body = self.lengths
@@ -307,7 +302,6 @@ class WaterTable(Table):
 
     @property
     def files(self) -> list[str]:
-        """Names of the files that the table needs."""
         return [] if self.field is None else [self.field]
 
     @model_validator(mode="after")
@@ -429,6 +423,12 @@ class ExperimentTable(Table):
     actuators: Annotated[tuple[AnyActuator, ...], FROM_LIST] = ()
     effects: Annotated[tuple[EffectTable, ...], FROM_LIST] = ()
     trials: Annotated[tuple[Trial, ...], FROM_LIST, Field(min_length=1)]
+
+    @property
+    def files(self) -> list[str]:
+        """Names of the files that robot, water and actuators need, without those of the trials."""
+        tables = (self.robot, self.water, *self.actuators)
+        return sorted({name for table in tables for name in table.files})
 
     @property
     def chambers(self) -> tuple[ChamberTable, ...]:

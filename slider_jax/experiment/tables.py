@@ -63,6 +63,11 @@ class Table(BaseModel):
         """Returns the name with which pydantic names the table if a field allows several tables."""
         return TAG + cls.__name__
 
+    @property
+    def files(self) -> list[str]:
+        """Names of the files that the table needs."""
+        return []
+
 
 def fail(where: str, given: Any, allowed: str) -> NoReturn:
     """Raises a validation error for the key `where` of a table."""

@@ -2,6 +2,11 @@
 
 from pathlib import Path
 
+import pytest
+
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import load
+
 SMALL = """\
 name = "small"
 
@@ -46,6 +51,13 @@ amplitude = 250000.0
 tow_speed = 0.2
 duration = 0.9
 """
+
+
+def refusal_of(path: Path) -> str:
+    """Returns the text of the error with which an experiment file is refused."""
+    with pytest.raises(InputError) as caught:
+        load(path)
+    return str(caught.value)
 
 
 def write_small_experiment(folder: Path, *changes: tuple[str, str]) -> Path:
