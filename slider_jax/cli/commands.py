@@ -43,6 +43,10 @@ COMMANDS = {
     "climb": Subcommand(
         "slider_jax.cli.swim:climb", "simulates a robot that climbs a wall in air", effects=True
     ),
+    "statics": Subcommand(
+        "slider_jax.cli.statics:statics",
+        "computes the shape of a rod at rest under loads, in three dimensions",
+    ),
     "optimize swim": Subcommand(
         "slider_jax.cli.optimize:optimize_swim", "optimises tail and drive for the fastest swimming"
     ),

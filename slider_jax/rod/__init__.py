@@ -1,0 +1,2 @@
+"""A rod at rest in three dimensions: shape, loads, equilibrium and stability. This package may
+import `errors`."""

@@ -1,0 +1,189 @@
+"""Reads the file of a static case and builds the rod and its loads."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax.errors import InputError
+from slider_jax.io.csv import read_csv
+from slider_jax.io.toml import quantity_of, read_toml, validate
+from slider_jax.rod.loads import RodLoads, Tendon
+from slider_jax.rod.rod import Rod
+from slider_jax.statics.tables import (
+    CURVATURE_COLUMNS,
+    PROFILE_COLUMNS,
+    RodChamberTable,
+    RodTable,
+    RodTendonTable,
+    StaticCaseTable,
+)
+
+POSITION = "s_m"
+"""Column of a profile: the distance [m] from the clamp."""
+STRONGEST_GRAVITY = 100.0
+"""Largest acceleration of gravity [m/s^2]."""
+
+
+class StaticCase(NamedTuple):
+    """A rod and its loads, with the file that describes them."""
+
+    table: StaticCaseTable
+    rod: Rod
+    loads: RodLoads
+    files: tuple[Path, ...]
+
+
+def load_case(path: Path) -> StaticCase:
+    """Returns the static case of a TOML file. Raises `InputError` if a file is invalid."""
+    table = validate(StaticCaseTable, read_toml(path), str(path))
+    x, load = table.rod, table.load
+    profile = path.parent / x.profile if x.profile is not None else None
+    columns = _profile(profile, x) if profile is not None else {}
+    cells = table.numerics.nodes - 1
+    edges = np.linspace(0.0, x.length, cells + 1)
+    ds = np.diff(edges)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    given = {name: _along(name, x, columns, middle, path) for name in PROFILE_COLUMNS}
+    gravity = np.array(load.gravity)
+    size = float(np.linalg.norm(gravity))
+    if size > STRONGEST_GRAVITY:
+        raise InputError.value(
+            f"{path}: load.gravity", list(load.gravity), f"at most {STRONGEST_GRAVITY:g} m/s^2"
+        )
+    density, area = given["linear_density"], given["section_area"]
+    if size > 0.0 and density is None:
+        raise InputError(
+            f"{path}: load.gravity: the weight of the rod is not known; add rod.linear_density"
+        )
+    if size > 0.0 and load.fluid_density > 0.0 and area is None:
+        raise InputError(
+            f"{path}: load.fluid_density: the buoyancy is not known; add rod.section_area"
+        )
+    zero = np.zeros(cells)
+    mass = (zero if density is None else density) - load.fluid_density * (
+        zero if area is None else area
+    )
+    curvature = np.stack(
+        [zero if column is None else column for column in _curvature(x, columns, middle)]
+    )
+    t, n = (np.array(v) / np.linalg.norm(v) for v in (x.clamp_tangent, x.clamp_normal))
+    rod = Rod(
+        ds=jnp.asarray(ds),
+        stiffness=jnp.stack([jnp.asarray(given[name]) for name in ("GJ", "EI_n", "EI_b")], axis=1),
+        initial_curvature=jnp.asarray(curvature.T),
+        clamp=jnp.asarray(np.stack([t, n, np.cross(t, n)], axis=1)),
+        weight=jnp.asarray(size * mass),
+        EA=None if given["EA"] is None else jnp.asarray(given["EA"]),
+    )
+    lines = [_tendon(tendon, edges) for tendon in table.tendons]
+    lines += [_chamber(chamber, edges) for chamber in table.chambers]
+    down = gravity / size if size > 0.0 else np.array([0.0, 0.0, -1.0])
+    loads = RodLoads(
+        jnp.array(load.force),
+        jnp.array(load.moment),
+        jnp.asarray(down),
+        tuple(lines),
+        load.follower,
+    )
+    return StaticCase(table, rod, loads, (path, profile) if profile is not None else (path,))
+
+
+def _along(name, x: RodTable, columns, middle, path: Path) -> np.ndarray | None:
+    """Returns a property in the cells, or None if it is not given."""
+    column, own = PROFILE_COLUMNS[name], getattr(x, name)
+    if column in columns and own is not None:
+        raise InputError(
+            f"{path.parent / str(x.profile)}, column {column}: [rod] also has {name} = {own:g}; "
+            "remove one of them"
+        )
+    if column in columns:
+        return np.interp(middle, columns[POSITION], columns[column])
+    if own is not None:
+        return np.full(len(middle), own)
+    if name in ("EI_n", "EI_b", "GJ"):
+        raise InputError(
+            f"{path.parent / str(x.profile)}: no column {column}; add this column, or give {name} "
+            "in [rod]"
+        )
+    return None
+
+
+def _curvature(x: RodTable, columns, middle) -> list[np.ndarray | None]:
+    """Returns the three components of the initial curvature in the cells; None for zero."""
+    found: list[np.ndarray | None] = []
+    for i, column in enumerate(CURVATURE_COLUMNS):
+        if column in columns:
+            found.append(np.interp(middle, columns[POSITION], columns[column]))
+        elif x.initial_curvature is not None:
+            found.append(np.full(len(middle), x.initial_curvature[i]))
+        else:
+            found.append(None)
+    return found
+
+
+def _profile(path: Path, x: RodTable) -> dict[str, np.ndarray]:
+    """Returns the columns of a rod's profile, checked for range and length."""
+    known = (*PROFILE_COLUMNS.values(), *CURVATURE_COLUMNS)
+    columns = read_csv(path, (POSITION,), known, "the distance")
+    header = path.read_text(encoding="utf-8-sig").partition("\n")[0].strip().split(",")
+    unknown = [name for name in map(str.strip, header) if name not in (POSITION, *known)]
+    if unknown or len(columns) == 1:
+        given = f"unknown column {unknown[0]}" if unknown else "no property"
+        raise InputError(f"{path}: {given}; allowed columns: {POSITION}, {', '.join(known)}")
+    if x.initial_curvature is not None and any(name in columns for name in CURVATURE_COLUMNS):
+        raise InputError(f"{path}: [rod] also has initial_curvature; remove one of them")
+    at = columns[POSITION]
+    if abs(at[0]) > 1e-6 or abs(at[-1] - x.length) > 1e-6:
+        raise InputError(
+            f"{path}: {POSITION} covers {at[0]:g} to {at[-1]:g} m; allowed 0 to {x.length:g} m, "
+            "the length of the rod; correct the profile or the length"
+        )
+    for name, column in PROFILE_COLUMNS.items():
+        quantity = quantity_of(RodTable.model_fields[name])
+        assert quantity is not None
+        for row, value in enumerate(columns.get(column, ()), start=2):
+            if not quantity.low <= value <= quantity.high:
+                raise InputError.value(
+                    f"{path}, line {row}, column {column}", f"{value:g}", quantity.allowed,
+                    quantity.advice,
+                )  # fmt: skip
+    return columns
+
+
+def _covered(span, edges) -> np.ndarray:
+    """Returns the part of each cell that lies in the span, 0 to 1."""
+    inside = np.minimum(edges[1:], span[1]) - np.maximum(edges[:-1], span[0])
+    return np.clip(inside, 0.0, None) / np.diff(edges)
+
+
+def _tendon(x: RodTendonTable, edges) -> Tendon:
+    start, end = np.array(x.start), np.array(x.end)
+    slope = (end - start) / (x.span[1] - x.span[0])
+    at = _middle_in(x.span, edges) - x.span[0]
+    return Tendon(
+        offset=jnp.asarray(start + at[:, None] * slope),
+        offset_slope=jnp.tile(jnp.asarray(slope), (len(at), 1)),
+        share=jnp.asarray(_covered(x.span, edges)),
+        tension=jnp.asarray(x.tension),
+    )
+
+
+def _chamber(x: RodChamberTable, edges) -> Tendon:
+    """Returns the tendon that pushes with the force of the chamber's pressure."""
+    rate = (x.angles[1] - x.angles[0]) / (x.span[1] - x.span[0])
+    angle = x.angles[0] + rate * (_middle_in(x.span, edges) - x.span[0])
+    place = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    ahead = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    return Tendon(
+        offset=jnp.asarray(x.distance * place),
+        offset_slope=jnp.asarray(rate * x.distance * ahead),
+        share=jnp.asarray(_covered(x.span, edges)),
+        tension=jnp.asarray(-x.pressure * x.K_Q / x.distance),
+    )
+
+
+def _middle_in(span, edges) -> np.ndarray:
+    """Returns the middle of the part of each cell that lies in the span."""
+    return 0.5 * (np.clip(edges[1:], *span) + np.clip(edges[:-1], *span))

@@ -1,0 +1,138 @@
+"""The tables of the file that describes a rod and its static loads."""
+
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from slider_jax.experiment.tables import FROM_LIST, FileName, Table, fail
+from slider_jax.io.units import Quantity
+
+Number = Annotated[float, Quantity(-1e9, 1e9)]
+Vector = Annotated[tuple[Number, Number, Number], FROM_LIST]
+Length = Annotated[float, Quantity(1e-4, 1000.0, "m")]
+Stiffness = Annotated[float, Quantity(1e-9, 1e9, "N m^2")]
+AxialStiffness = Annotated[float, Quantity(1e-3, 1e12, "N")]
+LinearDensity = Annotated[float, Quantity(0.0, 1e4, "kg/m")]
+Area = Annotated[float, Quantity(0.0, 10.0, "m^2")]
+Density = Annotated[float, Quantity(0.0, 2e4, "kg/m^3")]
+Distance = Annotated[float, Quantity(-10.0, 10.0, "m")]
+Place = Annotated[tuple[Distance, Distance], FROM_LIST]
+Along = Annotated[float, Quantity(0.0, 1000.0, "m")]
+Span = Annotated[tuple[Along, Along], FROM_LIST]
+Tension = Annotated[float, Quantity(0.0, 1e6, "N")]
+Pressure = Annotated[float, Quantity(-1e7, 1e7, "Pa")]
+MomentPerPressure = Annotated[float, Quantity(1e-12, 1e-2, "m^3")]
+Angle = Annotated[float, Quantity(-1000.0, 1000.0, "rad")]
+Angles = Annotated[tuple[Angle, Angle], FROM_LIST]
+Nodes = Annotated[int, Field(ge=3, le=1001)]
+
+PARALLEL = 1e-6
+"""Largest cosine of the angle between tangent and normal of the clamp."""
+
+PROFILE_COLUMNS = {
+    "EI_n": "EI_n_N_m2",
+    "EI_b": "EI_b_N_m2",
+    "GJ": "GJ_N_m2",
+    "EA": "EA_N",
+    "linear_density": "linear_density_kg_per_m",
+    "section_area": "section_area_m2",
+}
+"""Column of each property in the profile of a rod."""
+CURVATURE_COLUMNS = ("curvature_t_per_m", "curvature_n_per_m", "curvature_b_per_m")
+"""Columns of the initial curvature in the profile of a rod."""
+
+
+class RodTable(Table):
+    """Table [rod]. A property is a number here, or a column of the CSV file `profile`."""
+
+    length: Length
+    EI_n: Stiffness | None = None
+    EI_b: Stiffness | None = None
+    GJ: Stiffness | None = None
+    EA: AxialStiffness | None = None
+    linear_density: LinearDensity | None = None
+    section_area: Area | None = None
+    initial_curvature: Vector | None = None
+    profile: FileName | None = None
+    clamp_tangent: Vector = (1.0, 0.0, 0.0)
+    clamp_normal: Vector = (0.0, 1.0, 0.0)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        for name in ("EI_n", "EI_b", "GJ"):
+            if getattr(self, name) is None and self.profile is None:
+                fail(name, "nothing", "a number in N m^2, or a column of a profile")
+        for name in ("clamp_tangent", "clamp_normal"):
+            if not any(getattr(self, name)):
+                fail(name, list(getattr(self, name)), "a vector that is not zero")
+        t, n = np.array(self.clamp_tangent), np.array(self.clamp_normal)
+        if abs(t @ n) > PARALLEL * np.linalg.norm(t) * np.linalg.norm(n):
+            fail(
+                "clamp_normal", list(self.clamp_normal), "a vector at a right angle to the tangent"
+            )
+        return self
+
+
+class LoadTable(Table):
+    """Table [load]: force and moment on the tip, gravity, and the density of the fluid."""
+
+    force: Vector = (0.0, 0.0, 0.0)
+    moment: Vector = (0.0, 0.0, 0.0)
+    follower: bool = False
+    gravity: Vector = (0.0, 0.0, 0.0)
+    fluid_density: Density = 0.0
+
+
+class _AlongRod(Table):
+    """A table with a span along the rod."""
+
+    span: Span
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.span[0] >= self.span[1]:
+            fail("span", list(self.span), "two distances from the clamp, the smaller one first")
+        return self
+
+
+class RodTendonTable(_AlongRod):
+    """A table [[tendons]]: a tendon that runs straight from one place in the section to another."""
+
+    tension: Tension
+    start: Place
+    end: Place
+
+
+class RodChamberTable(_AlongRod):
+    """A table [[chambers]]: a pressure chamber beside the axis, straight or helical."""
+
+    pressure: Pressure
+    K_Q: MomentPerPressure
+    distance: Length
+    angles: Angles
+
+
+class RodNumericsTable(Table):
+    """Table [numerics]."""
+
+    nodes: Nodes = 101
+
+
+class StaticCaseTable(Table):
+    """The file of `slider statics`."""
+
+    name: str = "rod"
+    rod: RodTable
+    load: LoadTable = LoadTable()
+    tendons: Annotated[tuple[RodTendonTable, ...], FROM_LIST] = ()
+    chambers: Annotated[tuple[RodChamberTable, ...], FROM_LIST] = ()
+    numerics: RodNumericsTable = RodNumericsTable()
+
+    @model_validator(mode="after")
+    def _inside(self) -> Self:
+        for name in ("tendons", "chambers"):
+            for i, x in enumerate(getattr(self, name)):
+                if x.span[1] > self.rod.length * (1.0 + 1e-9):
+                    fail(f"{name}.{i}.span", list(x.span), f"0 to {self.rod.length:g} m, the rod")
+        return self
