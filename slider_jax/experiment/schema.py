@@ -13,6 +13,7 @@ from pydantic import (
 )
 
 from slider_jax.experiment.actuator_tables import (
+    ActuatorTable,
     AnyActuator,
     ChamberTable,
     ChannelTable,
@@ -187,6 +188,23 @@ class SegmentedRobotTable(BodyTable):
             if point.s > total:
                 fail(f"point_masses.{i}.s", point.s, f"0 to {total:g} m, the robot's length")
         return self
+
+
+def chambers_of(robot: BodyTable, actuators: tuple[ActuatorTable, ...]) -> tuple[ChamberTable, ...]:
+    """Returns the air chambers of a robot, from the head to the tail."""
+    return tuple(x for x in actuators if isinstance(x, ChamberTable)) or robot.own_chambers
+
+
+def check_robot_actuators(robot: BodyTable, actuators: tuple[ActuatorTable, ...]) -> None:
+    """Raises a validation error if the actuators do not fit the robot."""
+    if any(isinstance(x, ChamberTable) for x in actuators):
+        for key in ("front_chamber", "rear_chamber"):
+            span = getattr(robot, key)
+            if span is not None:
+                allowed = "nothing, because [[actuators]] lists all chambers"
+                fail(f"robot.{key}", list(span), allowed)
+    tail, body = robot.lengths
+    check_actuators(actuators, body, tail + body)
 
 
 def _tag_of_robot(table: Any) -> str:
@@ -433,8 +451,7 @@ class ExperimentTable(Table):
     @property
     def chambers(self) -> tuple[ChamberTable, ...]:
         """The air chambers, from the head to the tail."""
-        given = tuple(x for x in self.actuators if isinstance(x, ChamberTable))
-        return given or self.robot.own_chambers
+        return chambers_of(self.robot, self.actuators)
 
     @property
     def chamber_names(self) -> tuple[str, ...]:
@@ -443,14 +460,7 @@ class ExperimentTable(Table):
 
     @model_validator(mode="after")
     def _actuators_fit_the_robot(self) -> Self:
-        listed = any(isinstance(x, ChamberTable) for x in self.actuators)
-        for key in ("front_chamber", "rear_chamber"):
-            span = getattr(self.robot, key)
-            if listed and span is not None:
-                allowed = "nothing, because [[actuators]] lists all chambers"
-                fail(f"robot.{key}", list(span), allowed)
-        tail, body = self.robot.lengths
-        check_actuators(self.actuators, body, tail + body)
+        check_robot_actuators(self.robot, self.actuators)
         for i, trial in enumerate(self.trials):
             for key in ("ratios", "phases", "biases"):
                 given = getattr(trial, key)
