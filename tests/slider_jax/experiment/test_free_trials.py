@@ -1,9 +1,13 @@
 """Tests of trials of a free robot, and of trials that begin in periodic motion."""
 
+import json
+
 import numpy as np
 import pytest
 
+from slider_jax.cli.main import main
 from slider_jax.experiment.load import load, to_model
+from slider_jax.simulation.summary import trial_summary
 from slider_jax.simulation.trial import simulate_trial
 from slider_jax.supports import Free
 from tests.support.experiments import write_small_experiment
@@ -89,6 +93,34 @@ def test_lead_strides_begin_the_trial_in_later_strides(tmp_path):
     np.testing.assert_allclose(
         late.columns["x_m"], whole.columns["x_m"][columns], rtol=1e-9, atol=1e-12
     )
+
+
+def test_the_summary_of_a_free_trial_has_speed_and_course_and_no_forces(tmp_path):
+    """A robot without drive keeps its speed; backwards, its speed is negative."""
+    for speed in (0.3, -0.3):
+        free = f'support = "free"\nstart_speed = {speed}\nheading = 0.4'
+        changes = ("amplitude = 150000.0", "amplitude = 0.0"), ('support = "free"', free)
+        path = write_small_experiment(tmp_path, FREE, *changes)
+        result = trial_summary(load(path), simulate_trial(load(path)))
+        assert result["mean_thrust_N"] is None and result["recoil_rms_N"] is None
+        assert result["forward_speed_m_per_s"] == pytest.approx(speed, rel=1e-9)
+        assert result["course_rad"] == pytest.approx(0.4 if speed > 0.0 else 0.4 - np.pi)
+        assert result["periodic"]
+
+
+def test_a_changing_speed_is_not_periodic(tmp_path, capsys):
+    """The robot starts at rest, so its speed differs from stride to stride."""
+    path = write_small_experiment(tmp_path, FREE)
+    assert main(["simulate", str(path), "--out", str(tmp_path / "out")]) == 0
+    free, clamped = (
+        next(x for x in lines if "Hz" in x and name in x)
+        for lines in [capsys.readouterr().err.splitlines()]
+        for name in ("trial_00", "trial_01")
+    )
+    assert "forward speed" in free and "course" in free and "thrust" not in free
+    assert "thrust" in clamped and "speed" not in clamped
+    result, _ = json.loads((tmp_path / "out" / "summary.json").read_text())["trials"]
+    assert result["periodic"] is False and "forward speed from" in result["warnings"][0]
 
 
 def test_the_support_comes_from_the_trial(tmp_path):
