@@ -9,6 +9,7 @@ from slider_jax.io.units import Quantity
 
 Ratio = Annotated[float, Quantity(0.01, 100.0)]
 Limit = Annotated[float, Quantity(1e3, 2e6, "Pa")]
+Stiffening = Annotated[float, Quantity(0.0, 1e-4, "N m^2/Pa")]
 
 
 class ChamberTable(Table):
@@ -24,6 +25,7 @@ class ChamberTable(Table):
     K_Q_ratio: Ratio = 1.0
     side: Literal["both", "left", "right"] = "both"
     limit: Limit | None = None
+    stiffening: Stiffening = 0.0
 
     def acts_on(self, side: Literal["left", "right"]) -> bool:
         """Whether the actuator has a chamber on this side of the body."""

@@ -68,10 +68,14 @@ def robot_of(
 
 
 def _with_chambers(robot: Robot, chambers: Sequence[ChamberTable]) -> Robot:
-    ratios = [x.K_Q_ratio for x in chambers]
+    ratios, stiffening = [x.K_Q_ratio for x in chambers], [x.stiffening for x in chambers]
     alike = all(x == 1.0 for x in ratios)
-    spans = tuple(x.span for x in chambers)
-    return replace(robot, chambers=spans, K_Q_ratios=1.0 if alike else jnp.array(ratios))
+    return replace(
+        robot,
+        chambers=tuple(x.span for x in chambers),
+        K_Q_ratios=1.0 if alike else jnp.array(ratios),
+        stiffening=jnp.array(stiffening) if any(stiffening) else None,
+    )
 
 
 def _pieces(robot: SegmentedRobotTable, segment: SegmentTable, folder: Path) -> Pieces:

@@ -1,10 +1,15 @@
 """Tests of [[actuators]]: any number of chambers, their sides, limits and drives, and bad input."""
 
+import math
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from slider_jax.beam.parameters import Numerics
 from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.statics import Loads, at_rest_under
 from slider_jax.dynamics.time_schemes import SDIRK2
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model, to_numerics
@@ -99,6 +104,46 @@ def test_a_left_and_a_right_chamber_are_a_pair(tmp_path):
     assert apart["p_left"].min() >= 0.0 and apart["p_right"].max() <= 0.0
     np.testing.assert_allclose(apart["p_left"] + apart["p_right"], pair["p_pair"], atol=1e-6)
     np.testing.assert_allclose(apart["tip"], pair["tip"], rtol=1e-9, atol=1e-12)
+
+
+def test_co_contraction_stiffens_the_body_without_bending_it(tmp_path):
+    """Two chambers of c |p| each, over the body: EI' = EI + c (p_left + p_right).
+
+    Their difference bends the body to an arc of the curvature K_Q (p_left - p_right)/EI', behind
+    which the tail is straight. A small force F on the tail's end deflects it by
+    F ((L^3 - t^3)/(3 EI') + t^3/(3 EI_t)), with the length t of the tail.
+    """
+    c, base, difference, force = 1e-7, 150e3, 10e3, 1e-4
+    keys = f"stiffening = {c}\nside = "
+    sides = "".join(chamber(x, 0.0, 0.3, f'{keys}"{x}"') for x in ("left", "right"))
+    model = to_model(load(with_actuators(tmp_path, sides)))
+    robot, t, body = model.robot, 0.07, 0.3
+    assert (float(robot.body.length), float(robot.tail.length)) == (body, t)
+    EI = float(robot.body.EI) + 2.0 * c * base
+    numerics = Numerics(tail_cells=10, body_cells=40)
+    pressures = np.array([base + 0.5 * difference, 0.5 * difference - base])
+    bent = at_rest_under(model, Loads(jnp.zeros(2), jnp.asarray(pressures)), numerics)
+    turn = float(robot.K_Q) * difference * body / EI
+    y = body * (1.0 - math.cos(turn)) / turn + t * math.sin(turn)
+    np.testing.assert_allclose(bent.shape[1, 0], y, rtol=1e-3)
+    still = Loads(jnp.asarray([0.0, force]), jnp.asarray([base, -base]))
+    loaded = at_rest_under(model, still, numerics)
+    L = t + body
+    y = force * ((L**3 - t**3) / EI + t**3 / float(robot.tail.EI)) / 3.0
+    np.testing.assert_allclose(loaded.shape[1, 0], y, rtol=1e-3)
+
+
+def test_chambers_without_stiffening_have_the_same_program(tmp_path):
+    """The key changes the program, and its null value does not."""
+    plain, null, stiff = (
+        to_model(load(with_actuators(tmp_path, chamber("only", 0.02, 0.28, keys))))
+        for keys in ("", "stiffening = 0.0", "stiffening = 1e-7")
+    )
+    assert jax.tree.structure(plain) == jax.tree.structure(null) != jax.tree.structure(stiff)
+    series = series_of(with_actuators(tmp_path, chamber("only", 0.02, 0.28, "stiffening = 1e-7")))
+    free = series_of(with_actuators(tmp_path, chamber("only", 0.02, 0.28)))
+    np.testing.assert_array_equal(series["p_only"], free["p_only"])
+    assert np.ptp(series["tip"]) < 0.9 * np.ptp(free["tip"])
 
 
 def test_a_limit_and_a_bias_change_the_set_pressure(tmp_path):
