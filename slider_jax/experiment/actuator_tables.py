@@ -26,6 +26,7 @@ class ChamberTable(Table):
     side: Literal["both", "left", "right"] = "both"
     limit: Limit | None = None
     stiffening: Stiffening = 0.0
+    k_ratio: Ratio = 1.0
 
     def acts_on(self, side: Literal["left", "right"]) -> bool:
         """Whether the actuator has a chamber on this side of the body."""

@@ -197,11 +197,11 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
-    parameters, density = experiment.parameters, experiment.robot.water_density
+    density = experiment.robot.water_density
     taken = trial_conditions(experiment, trial)
     C_d, m_a = drag_and_added_mass(experiment, trial)
     measured = trial.waveform == "recorded" and trial.drive_is == "measured"
-    law: PressureLaw = Ideal() if measured else FirstOrderLag(parameters.k)
+    law: PressureLaw = Ideal() if measured else lag_of(experiment)
     extra = [_effect(table, "effects", taken) for table in experiment.effects]
     model = Model(
         robot=experiment.robot_model(),
@@ -213,6 +213,13 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
         actuators=actuators_of(experiment, trial, experiment.folder),
     )
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
+
+
+def lag_of(experiment: Experiment) -> FirstOrderLag:
+    """Returns the lag of the experiment's chambers."""
+    ratios = [x.k_ratio for x in experiment.chambers]
+    alike = all(x == 1.0 for x in ratios)
+    return FirstOrderLag(experiment.parameters.k, None if alike else jnp.array(ratios))
 
 
 def _support(trial: Trial) -> Support:

@@ -90,6 +90,30 @@ def test_each_chamber_has_its_own_moment_per_pressure(tmp_path):
     np.testing.assert_allclose(found["tip"], old["tip"], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("effect", ["", '[[effects]]\nname = "leakage"\n'])
+def test_each_chamber_has_its_own_time_constant(tmp_path, effect):
+    """The first rise to A after the start is A (1 - exp(-t/(r k))); an effect at its null, too."""
+    slow = chamber("rear", 0.155, 0.28, "k_ratio = 1.7")
+    together = ("rear_ratio = 0.9\nphase = 0.1\n", "")
+    path = with_actuators(tmp_path, FRONT + slow + effect, together)
+    assert (law := to_model(load(path)).pressure_law).k == 0.087
+    np.testing.assert_allclose(law.time_constants, [0.087, 1.7 * 0.087])
+    series = series_of(path)
+    t = np.linspace(0.0, 0.75, len(series["tip"]))
+    rise = t < 0.125 - 1e-9
+    for name, ratio in (("p_front", 1.0), ("p_rear", 1.7)):
+        exact = 150e3 * (1.0 - np.exp(-t / (ratio * 0.087)))
+        np.testing.assert_allclose(series[name][rise], exact[rise], atol=1e-6 * 150e3)
+
+
+def test_ratios_of_1_do_not_change_the_program(tmp_path):
+    plain, null = (
+        to_model(load(with_actuators(tmp_path, chamber("only", 0.02, 0.28, keys))))
+        for keys in ("", "k_ratio = 1.0\nK_Q_ratio = 1.0")
+    )
+    assert jax.tree.structure(plain) == jax.tree.structure(null)
+
+
 def test_a_left_and_a_right_chamber_are_a_pair(tmp_path):
     """Both take their half of the same wave, so their signed pressures add up to the pair's.
 
