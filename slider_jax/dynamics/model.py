@@ -138,6 +138,7 @@ def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
         ds=grid.ds,
         in_tail=grid.per_cell(one, 0.0 * one),
         joint=grid.at_joint(),
+        area=None if robot.body.area is None else mean("area"),
     )
     windows = chamber_windows(robot, grid)
     K_Q = jnp.broadcast_to(robot.K_Q * robot.K_Q_ratios, windows.shape[:1])

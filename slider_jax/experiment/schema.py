@@ -23,6 +23,7 @@ from slider_jax.experiment.tables import (
     FROM_LIST,
     BendingStiffness,
     DampingTime,
+    Density,
     FileName,
     Force,
     GridFileName,
@@ -50,6 +51,7 @@ class BodyTable(Table):
     front_chamber: Span | None = None
     rear_chamber: Span | None = None
     water_density: WaterDensity = 1000.0
+    density: Density | None = None
 
     @property
     def own_chambers(self) -> tuple[ChamberTable, ...]:
@@ -128,6 +130,7 @@ class SegmentTable(Table):
     EA: Stiffness | None = None
     damping_time: DampingTime | None = None
     height: Height | None = None
+    density: Density | None = None
     rigid: Annotated[bool, Field(strict=True)] = False
     profile: FileName | None = None
 
@@ -161,6 +164,10 @@ class SegmentedRobotTable(BodyTable):
     def files(self) -> list[str]:
         return sorted({x.profile for x in self.segments if x.profile is not None})
 
+    def density_of(self, segment: SegmentTable) -> float | None:
+        """Returns the mean density [kg/m^3] of a segment."""
+        return self.density if segment.density is None else segment.density
+
     @field_validator("segments")
     @classmethod
     def _body_is_before_tail(cls, segments: tuple[SegmentTable, ...]) -> tuple[SegmentTable, ...]:
@@ -183,6 +190,10 @@ class SegmentedRobotTable(BodyTable):
                 if not given and x.profile is None and not (x.rigid and name in ("EI", "EA")):
                     where = "a number here, in [robot] or in the column of a profile"
                     fail(f"segments.{i}.{name}", "nothing", where)
+        lacking = [i for i, x in enumerate(self.segments) if self.density_of(x) is None]
+        if lacking and len(lacking) < len(self.segments):
+            allowed = "a number here or in [robot], because other segments have a density"
+            fail(f"segments.{lacking[0]}.density", "nothing", allowed)
         total = sum(self.lengths)
         for i, point in enumerate(self.point_masses):
             if point.s > total:
