@@ -16,22 +16,20 @@ from slider_jax.experiment.actuator_tables import (
     ActuatorTable,
     AnyActuator,
     ChamberTable,
-    ChannelTable,
     check_actuators,
 )
+from slider_jax.experiment.sensor_tables import SensorsTable
 from slider_jax.experiment.tables import (
     FROM_LIST,
     BendingStiffness,
     DampingTime,
     Density,
     FileName,
-    Force,
     GridFileName,
     Height,
     Length,
     LinearDensity,
     Position,
-    Share,
     Span,
     Speed,
     Stiffness,
@@ -67,24 +65,6 @@ class BodyTable(Table):
     def lengths(self) -> tuple[float, float]:
         """Lengths [m] of tail and body."""
         raise NotImplementedError
-
-    @model_validator(mode="after")
-    def _chambers_do_not_overlap(self) -> Self:
-        _, body = self.lengths
-        spans = {"front_chamber": self.front_chamber, "rear_chamber": self.rear_chamber}
-        for name, span in spans.items():
-            if span is None:
-                continue
-            near, far = span
-            if near >= far:
-                fail(name, [near, far], "[near, far] with near < far, distances from the clamp")
-            if far > body * (1.0 + 1e-9):
-                fail(name, [near, far], f"spans within the body, 0 to {body:g} m")
-        front, rear = spans.values()
-        if front and rear and front[1] > rear[0]:
-            end = f"{front[1]:g} m, the front chamber's far end"
-            fail("rear_chamber", list(rear), f"a near end of at least {end}")
-        return self
 
 
 class RobotTable(BodyTable):
@@ -208,14 +188,13 @@ def chambers_of(robot: BodyTable, actuators: tuple[ActuatorTable, ...]) -> tuple
 
 def check_robot_actuators(robot: BodyTable, actuators: tuple[ActuatorTable, ...]) -> None:
     """Raises a validation error if the actuators do not fit the robot."""
+    own = {f"robot.{x.name}_chamber": x for x in robot.own_chambers}
     if any(isinstance(x, ChamberTable) for x in actuators):
-        for key in ("front_chamber", "rear_chamber"):
-            span = getattr(robot, key)
-            if span is not None:
-                allowed = "nothing, because [[actuators]] lists all chambers"
-                fail(f"robot.{key}", list(span), allowed)
+        for key, chamber in own.items():
+            fail(key, list(chamber.span), "nothing, because [[actuators]] lists all chambers")
     tail, body = robot.lengths
-    check_actuators(actuators, body, tail + body)
+    listed = {f"actuators.{i}.span": x for i, x in enumerate(actuators)}
+    check_actuators(own | listed, body, tail + body)
 
 
 def _tag_of_robot(table: Any) -> str:
@@ -273,31 +252,6 @@ class ParametersTable(Table):
         if any(b <= a for a, b in zip(given_at, given_at[1:], strict=False)):
             fail("coefficients", given_at, "frequencies that increase from table to table")
         return self
-
-
-class SensorsTable(Table):
-    """[sensors]: standard deviations and correlation time of sensor errors, and sample rate.
-
-    Gains are fractions of the reading, and discrepancies are fractions of the channel's rms.
-    """
-
-    pressure_noise: Annotated[float, Quantity(0.0, 1e5, "Pa")] = 0.0
-    force_noise: Force = 0.0
-    force_tare: Force = 0.0
-    force_slow_noise: Force = 0.0
-    force_slow_time: Annotated[float, Quantity(1e-3, 100.0, "s")] = 0.1
-    tip_noise: Annotated[float, Quantity(0.0, 0.1, "m")] = 0.0
-    start_swing: Annotated[float, Quantity(0.0, 0.1, "m")] = 0.0
-    pressure_gain: Share | None = None
-    thrust_gain: Share | None = None
-    recoil_gain: Share | None = None
-    tip_gain: Share | None = None
-    pressure_discrepancy: Share | None = None
-    thrust_discrepancy: Share | None = None
-    recoil_discrepancy: Share | None = None
-    tip_discrepancy: Share | None = None
-    sample_rate: Annotated[float, Quantity(1.0, 1e5, "Hz")] = 500.0
-    channels: Annotated[tuple[ChannelTable, ...], FROM_LIST] = ()
 
 
 class VortexStreetTable(Table):

@@ -12,8 +12,10 @@ from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.statics import Loads, at_rest_under
 from slider_jax.dynamics.time_schemes import SDIRK2
 from slider_jax.errors import InputError
+from slider_jax.experiment import drive
 from slider_jax.experiment.load import load, to_model, to_numerics
 from slider_jax.experiment.playback import read_played
+from slider_jax.io.csv import read_csv
 from slider_jax.io.files import write_csv
 from slider_jax.observables import thrust
 from slider_jax.simulation.trial import simulate_trial
@@ -475,6 +477,45 @@ def test_chambers_are_described_only_once(tmp_path):
         InputError, match=r"trials\.0\.amplitude: given 150000\.0; allowed 0, as the"
     ):
         load(write_small_experiment(tmp_path, (SPANS, "")))
+
+
+def test_the_chambers_of_the_robot_are_checked_like_those_of_a_list(tmp_path):
+    """Both chambers in [robot] take part in all checks of [[actuators]]."""
+    cases = {
+        "rear_chamber: given [0.1, 0.28]; allowed a span outside of [0.02, 0.145]": "[0.1, 0.28]",
+        "rear_chamber: given [0.2, 0.2]; allowed [near, far] with near < far": "[0.2, 0.2]",
+        "rear_chamber: given [0.0, 0.01]; allowed a near end of at least 0.02 m": "[0.0, 0.01]",
+    }
+    for message, span in cases.items():
+        path = write_small_experiment(tmp_path, ("[0.155, 0.28]", span))
+        assert f"robot.{message}" in refusal_of(path)
+    path = write_small_experiment(tmp_path, ("[[trials]]", f"{shape(WAVE)}[[trials]]"))
+    assert "actuators.0.span: given [0.05, 0.25]; allowed a span outside" in refusal_of(path)
+
+
+def test_a_recorded_drive_is_read_once(tmp_path, monkeypatch):
+    recorded = (
+        "frequency = 4.0\namplitude = 150000.0\nrear_ratio = 0.9\nphase = 0.1\n",
+        'waveform = "recorded"\ndrive_file = "drive.csv"\ndrive_is = "measured"\n',
+    )
+    still = ("amplitude = 250000.0", "amplitude = 0.0")
+    tendons = tendon("a", "tension = 1.0") + tendon("b", "tension = 1.0")
+    read: list[str] = []
+
+    def counted(path, *args, **options):
+        read.append(path.name)
+        return read_csv(path, *args, **options)
+
+    monkeypatch.setattr(drive, "read_csv", counted)
+    t = np.linspace(0.0, 0.8, 81)
+    table = np.stack([t, *(1e4 * np.sin(12.0 * t + i) for i in range(3))], axis=1)
+    header = "t_s,a_N,b_N,p_only_Pa"
+    np.savetxt(tmp_path / "drive.csv", table, delimiter=",", header=header, comments="")
+    for chambers in ("", chamber("only", 0.02, 0.28)):
+        model = to_model(load(with_actuators(tmp_path, chambers + tendons, recorded, still)))
+        np.testing.assert_allclose(model.actuators[1].wave.values, table[:, 2])
+        assert len(model.drive.waves) == bool(chambers)
+    assert read == ["drive.csv"] * 2
 
 
 def test_a_recorded_drive_has_a_column_for_each_chamber(tmp_path):
