@@ -67,6 +67,32 @@ def test_a_free_robot_without_drive_coasts(tmp_path):
     np.testing.assert_allclose(series["head_x"], 0.3 * t, atol=1e-9)
 
 
+RHO, C_T, H, M, C, START = 1000.0, 0.02, 0.03, 0.7, 0.4, 0.3
+FRICTIONS = {
+    f'name = "tangential_friction"\nC_t = {C_T}': lambda t: (
+        START / (1.0 + RHO * C_T * H / M * START * t)
+    ),
+    f'name = "linear_friction"\nc = {C}': lambda t: START * np.exp(-C / M * t),
+}
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_a_straight_robot_coasts_against_friction(tmp_path, friction):
+    """The increments of Newton's method are rounding errors, and the steps converge.
+
+    m dV/dt = -rho C_t H V^2 or -c V. The error of steps of 5 ms is of order (c h/m)^2 < 1e-5.
+    """
+    series = run_with(
+        tmp_path,
+        ("amplitude = 150000.0", "amplitude = 0.0"),
+        ('support = "free"', f'support = "free"\nstart_speed = {START}'),
+        ("\n[[trials]]", f"\n[[effects]]\n{friction}\n\n[[trials]]"),
+    ).series
+    t = np.linspace(0.0, 0.75, len(series["speed"]))
+    np.testing.assert_allclose(series["speed"][1:], FRICTIONS[friction](t[1:]), rtol=1e-5)
+    np.testing.assert_array_equal(series["head_y"], 0.0)
+
+
 def test_the_momentum_of_a_free_robot_in_air_stays(tmp_path):
     """Without water, the chambers cannot move the centre of mass: dp/dt = 0 in both directions."""
     air = ("C_d = 3.0\nm_a = 1.0", "C_d = 0.0\nm_a = 0.0")
