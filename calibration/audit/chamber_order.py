@@ -17,6 +17,7 @@ from calibration.audit.drive_response import (
     Tones,
     chamber_tones,
     driven_chambers,
+    driven_in,
     trial_finding,
     wrapped,
 )
@@ -43,32 +44,34 @@ def check_chamber_order(
 
     An order that the phases of a trial do not determine follows from the amplitudes. The declared
     amplitudes are then corrected by the gains of the chambers in the trials with a known order.
+    Chambers whose set pressure does not change keep their columns.
     """
-    drives, orders = driven_chambers(records), chamber_orders(len(responses.chambers))
+    drives = driven_chambers(records)
+    orders = [_orders_of(d) for d in drives]
     tones = [chamber_tones(r) for r in records]
     found = [
-        None if x is None else order_by_phase(x, d, orders)
-        for x, d in zip(tones, drives, strict=True)
+        None if x is None else order_by_phase(x, d, o)
+        for x, d, o in zip(tones, drives, orders, strict=True)
     ]
     gains = [
-        _log_gain(x.size[orders[k]], d)
-        for x, d, k in zip(tones, drives, found, strict=True)
+        _log_gain(x.size[o[k]], d)
+        for x, d, o, k in zip(tones, drives, orders, found, strict=True)
         if x is not None and k is not None
     ]
     kept, findings = [], []
-    for r, x, d, k in zip(records, tones, drives, found, strict=True):
+    for r, x, d, o, k in zip(records, tones, drives, orders, found, strict=True):
         if k is None and x is not None:
-            k = order_by_size(x, d, orders, gains)
+            k = order_by_size(x, d, o, gains)
         if not k:
             kept.append(r)
             continue
-        moved = [r.channels.pressures[c] for c, at in enumerate(orders[k]) if c != at]
+        moved = [r.channels.pressures[c] for c, at in enumerate(o[k]) if c != at]
         columns = " and ".join(r.channels[n].column for n in moved)
-        other = "the other" if len(orders[k]) == 2 else "another"
+        other = "the other" if len(o[k]) == 2 else "another"
         detail = f"{columns} are swapped: each fits {other} chamber's drive"
         findings.append(trial_finding(r, "swapped_columns", ", ".join(moved), detail, "mended"))
         values, rows = r.values.copy(), r.channels.rows(r.channels.pressures)
-        values[rows] = r.pressures[orders[k]]
+        values[rows] = r.pressures[o[k]]
         kept.append(replace(r, values=values))
     return kept, findings
 
@@ -85,6 +88,15 @@ def chamber_orders(chambers: int) -> np.ndarray:
     for a, b in combinations(own, 2):
         found.append([{a: b, b: a}.get(i, i) for i in own])
     return np.array(found)
+
+
+def _orders_of(drives: Sequence[DeclaredDrive]) -> np.ndarray:
+    """Returns orders (k, chambers) of the columns, in which only the driven chambers move."""
+    own = np.array(driven_in(drives))
+    inner = chamber_orders(len(own))
+    orders = np.tile(np.arange(len(drives)), (len(inner), 1))
+    orders[:, own] = own[inner]
+    return orders
 
 
 class Comparison(NamedTuple):
@@ -114,7 +126,7 @@ def _compared(
 
     def distance(difference: np.ndarray) -> np.ndarray:
         pairs = difference[..., :, None] - difference[..., None, :]
-        return size(pairs).max(axis=(-2, -1))
+        return np.nanmax(size(pairs), axis=(-2, -1))
 
     off = distance(found[orders] - expected)
     best = int(np.argmin(off))
@@ -124,7 +136,7 @@ def _compared(
 
 def order_by_phase(found: Tones, drives: Sequence[DeclaredDrive], orders: np.ndarray) -> int | None:
     """Returns the index of the order that the phases show; None if they are inconclusive."""
-    declared = np.array([x.lag for x in drives])
+    declared = np.array([x.lag if x.driven else np.nan for x in drives])
     x = _compared(found.lag, declared, orders, lambda lag: np.abs(wrapped(lag)))
     others = x.apart >= APART
     if not others.any() or not (x.off[x.best] < CLEAR * x.off[others]).all():
@@ -137,13 +149,15 @@ def order_by_size(
 ) -> int | None:
     """Returns the index of the order that the amplitudes show; None if they are inconclusive.
 
-    `gains` are ln(measured/declared amplitude) (chambers,) of the trials with a known order,
-    relative to the first chamber.
+    `gains` are ln(measured/declared amplitude) (chambers,) of the trials with a known order.
     """
-    if len(gains) < 2:
+    own = driven_in(drives)
+    known = np.array([x[own] - x[own[0]] for x in gains if np.isfinite(x[own]).all()])
+    if len(known) < 2:
         return None
-    usual = np.median(gains, axis=0)
-    spread = float(np.median(np.abs(np.array(gains) - usual), axis=0).max())
+    usual = np.full(len(drives), np.nan)
+    usual[own] = np.median(known, axis=0)
+    spread = float(np.median(np.abs(known - usual[own]), axis=0).max())
     x = _compared(found.size, usual + _log_amplitudes(drives), orders)
     others = x.apart > max(APART, 8.0 * spread)
     if not others.any() or not (x.off[x.best] < CLEAR * x.apart[others]).all():
@@ -152,9 +166,8 @@ def order_by_size(
 
 
 def _log_amplitudes(drives: Sequence[DeclaredDrive]) -> np.ndarray:
-    return np.log([abs(x.amplitude) for x in drives])
+    return np.log([abs(x.amplitude) if x.driven else np.nan for x in drives])
 
 
 def _log_gain(size: np.ndarray, drives: Sequence[DeclaredDrive]) -> np.ndarray:
-    gain = size - _log_amplitudes(drives)
-    return gain - gain[0]
+    return size - _log_amplitudes(drives)

@@ -10,6 +10,7 @@ from calibration.audit.drive_response import (
     DriveResponses,
     chamber_tones,
     driven_chambers,
+    driven_in,
     drives_of,
     trial_finding,
     wrapped,
@@ -81,8 +82,10 @@ def check_clocks(
 def _clock(r: Record) -> PeriodRatio | None:
     """Returns the relative error of the pressures' frequency; None if the pressures disagree."""
     assert r.trial.frequency is not None
+    drives = drives_of(r)
+    assert drives is not None
     found = []
-    for p in r.pressures:
+    for p in r.pressures[driven_in(drives)]:
         there = np.isfinite(p)
         if there.mean() > 0.5:
             found.append(period_ratio(r.t[there], p[there], r.trial.frequency))
@@ -99,7 +102,7 @@ def check_declared_drive(
 ) -> tuple[list[Record], list[Finding]]:
     """Returns the trials that were driven as declared, and findings on the other trials."""
     least = np.array([responses.least_residual(i) for i in range(len(records))])
-    usual = float(np.median(least))
+    usual = float(np.nanmedian(least))
     wrong = _late(records, responses, range(len(records)))
     limit = min(max(WRONG_DRIVE, 2.0 * usual), max(STRANGE, TIMES * usual))
     for i, r in enumerate(records):
@@ -133,7 +136,7 @@ def _partner(records: Sequence[Record], r: Record) -> str:
         if other is r or chambers is None:
             continue
         residual = fit_lags(r.t, r.pressures, chambers).residual
-        if max(residual[c, c].min() for c in range(len(chambers))) < 0.5 * STRANGE:
+        if max(residual[c, c].min() for c in driven_in(chambers)) < 0.5 * STRANGE:
             return f"; the pressures fit the drive of {other.trial.file}: the files may be swapped"
     return ""
 
@@ -148,7 +151,7 @@ def _late(
     lag = TIME_CONSTANTS[[responses.at[0]]]
     delays, least = [], []
     for r, chambers in zip(records, driven_chambers(records), strict=True):
-        fits, own = fit_lags(r.t, r.pressures, chambers, around, lag), np.arange(len(chambers))
+        fits, own = fit_lags(r.t, r.pressures, chambers, around, lag), driven_in(chambers)
         together = np.sqrt(np.mean(fits.residual[own, own, 0] ** 2, axis=0))
         delays.append(around[together.argmin()])
         least.append(float(together.min()))
@@ -172,33 +175,35 @@ def _wrong_phase(
 ) -> dict[int, Finding]:
     """Returns findings on trials in which a chamber has another phase than declared.
 
-    Phases are relative to the first chamber. The chamber with the largest difference is named.
+    Phases are relative to the first chamber that is driven in the trial. The other trials are those
+    in which the same chambers are driven. The chamber with the largest difference is named.
     """
     drives = driven_chambers(records)
-    off = np.full((len(records), len(responses.chambers)), np.nan)
+    lags = np.full((len(records), len(responses.chambers)), np.nan)
     for j, r in enumerate(records):
         tones = chamber_tones(r)
         if tones is not None:
-            declared = np.array([x.lag for x in drives[j]])
-            lag = wrapped(tones.lag - tones.lag[0] - declared)
-            off[j] = lag / (r.trial.frequency or 1.0)
+            lags[j] = tones.lag - np.array([x.lag for x in drives[j]])
+    frequencies = np.array([r.trial.frequency or 1.0 for r in records])
     found = {}
     for j, r in enumerate(records):
+        own, f = driven_in(drives[j]), frequencies[j]
+        off = wrapped(lags[:, own] - lags[:, own[:1]]) / frequencies[:, None]
         rest = np.delete(off, j, axis=0)
         rest = rest[np.isfinite(rest).all(axis=1)]
-        if not np.isfinite(off[j]).all() or len(rest) < 2 or not r.trial.frequency:
+        if not np.isfinite(off[j]).all() or len(rest) < 2:
             continue
         usual = np.median(rest, axis=0)
         spread = np.median(np.abs(rest - usual), axis=0)
-        phase = wrapped((off[j] - usual) * r.trial.frequency)
-        wrong = np.abs(phase) > np.maximum(WRONG_PHASE, 8.0 * spread * r.trial.frequency)
+        phase = wrapped((off[j] - usual) * f)
+        wrong = np.abs(phase) > np.maximum(WRONG_PHASE, 8.0 * spread * f)
         if wrong.any():
-            c = int(np.argmax(np.where(wrong, np.abs(phase), 0.0)))
-            first, name = r.channels.pressures[0], r.channels.pressures[c]
-            should = drives[j][c].phase
+            worst = int(np.argmax(np.where(wrong, np.abs(phase), 0.0)))
+            first, name = (r.channels.pressures[own[i]] for i in (0, worst))
+            should = drives[j][own[worst]].phase - drives[j][own[0]].phase
             detail = (
                 f"the {r.channels[name].label} lags the {r.channels[first].label} by "
-                f"{wrapped(should + phase[c]):.2f} of a period, but the declared phase is "
+                f"{wrapped(should + phase[worst]):.2f} of a period, but the declared phase is "
                 f"{should:g}"
             )
             found[index[j]] = trial_finding(r, "wrong_phase", name, detail, "left out")
@@ -211,13 +216,17 @@ def _wrong_amplitude(
     """Returns findings on trials in which all pressures have another amplitude than declared."""
     if len(records) < 5:
         return {}
-    every = responses.chambers
-    gain = np.array([[responses.gain(i)[c, c] for c in every] for i in index])
-    residual = np.array([max(responses.residual(i)[c, c] for c in every) for i in index])
-    fit = [j for j in range(len(index)) if (gain[j] > 0.0).all() and residual[j] < MAX_RESIDUAL]
+    own = [driven_in(x) for x in driven_chambers(records)]
+    gain = [np.diagonal(responses.gain(i))[c] for i, c in zip(index, own, strict=True)]
+    residual = [np.diagonal(responses.residual(i))[c] for i, c in zip(index, own, strict=True)]
+    fit = [
+        j
+        for j, (g, x) in enumerate(zip(gain, residual, strict=True))
+        if (g > 0.0).all() and (x < MAX_RESIDUAL).all()
+    ]
     if len(fit) < 5:
         return {}
-    size = np.log(gain[fit]).mean(axis=1)
+    size = np.array([np.log(gain[j]).mean() for j in fit])
     trials = [records[j].trial for j in fit]
     x = np.log([[t.frequency or 1.0, t.amplitude or 1.0] for t in trials])
     deviations = leave_one_out(size, x - x.mean(axis=0), np.full(2, 0.3), 0.01)
@@ -226,7 +235,7 @@ def _wrong_amplitude(
         alike = np.ptp(np.log(gain[j])) < 0.5 * abs(off)
         if abs(off) > max(WRONG_AMPLITUDE, 8.0 * error) and alike:
             r = records[j]
-            which = {1: "the pressure", 2: "both pressures"}.get(len(every), "all pressures")
+            which = {1: "the pressure", 2: "both pressures"}.get(len(own[j]), "all pressures")
             detail = (
                 f"the ratio of {which} to the declared amplitude, {r.trial.amplitude:g} Pa, "
                 f"is {np.exp(off):.2f} times the ratio in the other trials"

@@ -30,7 +30,7 @@ class DriveResponses:
         self.chambers = range(len(chambers[0]))
         self.all = [_fitted(r, c) for r, c in zip(records, chambers, strict=True)]
         best = np.stack([f.residual.min(axis=0) for f in self.all])
-        median = np.median(best.reshape(-1, *best.shape[2:]), axis=0)
+        median = np.nanmedian(best.reshape(-1, *best.shape[2:]), axis=0)
         lag, delay = np.unravel_index(int(median.argmin()), median.shape)
         self.at = int(lag), int(delay)
         """Indices of the common lag and delay in `TIME_CONSTANTS` and `DELAYS`."""
@@ -61,8 +61,9 @@ def sensor_rows(channels: ChannelSet) -> list[int]:
 def _fitted(r: Record, chambers: Sequence[DeclaredDrive]) -> LagFits:
     """Returns fits of the pressures, or of all `sensor_rows` if the pressures do not respond."""
     found = fit_lags(r.t, r.pressures, chambers)
-    respond = (found.residual.min(axis=(0, 2, 3)) < MAX_RESIDUAL).all()
-    plain = respond and not any(is_tiny(r, p) for p in r.pressures)
+    own = driven_in(chambers)
+    respond = (found.residual[:, own].min(axis=(0, 2, 3)) < MAX_RESIDUAL).all()
+    plain = respond and not any(is_tiny(r, p) for p in r.pressures[own])
     return found if plain else fit_lags(r.t, r.values[sensor_rows(r.channels)], chambers)
 
 
@@ -77,13 +78,18 @@ def drives_of(r: Record) -> tuple[DeclaredDrive, ...] | None:
     return declared_drives(r.trial, len(r.channels.pressures), r.limits)
 
 
+def driven_in(drives: Sequence[DeclaredDrive]) -> list[int]:
+    """Returns the indices of the chambers whose set pressure changes."""
+    return [c for c, x in enumerate(drives) if x.driven]
+
+
 def driven_chambers(records: Sequence[Record]) -> list[tuple[DeclaredDrive, ...]]:
     """Returns the declared drives of all trials that have declared drives."""
     return [x for x in map(drives_of, records) if x is not None]
 
 
 class Tones(NamedTuple):
-    """The fundamental of each chamber's pressure."""
+    """The fundamental of each chamber's pressure; NaN if the chamber's set pressure is constant."""
 
     lag: np.ndarray
     """Lag (chambers,) as a fraction of a period."""
@@ -92,19 +98,23 @@ class Tones(NamedTuple):
 
 
 def chamber_tones(r: Record) -> Tones | None:
-    """Returns the fundamental of each pressure, or None if a pressure has too few readings.
+    """Returns the fundamental of each driven pressure, or None if one has too few readings.
 
     Returns None for a trial with fewer than `STRIDES` settled strides, because a slow drift of a
     shorter trial could be mistaken for the fundamental.
     """
-    if not r.trial.frequency or (r.t[-1] - settling_time(r.t)) * r.trial.frequency < STRIDES:
+    drives, f = drives_of(r), r.trial.frequency
+    if drives is None or not f or (r.t[-1] - settling_time(r.t)) * f < STRIDES:
         return None
     tones = []
-    for p in r.pressures:
+    for p, drive in zip(r.pressures, drives, strict=True):
+        if not drive.driven:
+            tones.append((np.nan, np.nan))
+            continue
         there = np.isfinite(p)
         if there.mean() < 0.5:
             return None
-        tones.append(fundamental_tone(r.t[there], p[there], r.trial.frequency))
+        tones.append(fundamental_tone(r.t[there], p[there], f))
     amplitude, lag = np.array(tones).T
     return Tones(lag, np.log(amplitude)) if amplitude.all() else None
 

@@ -45,6 +45,11 @@ class DeclaredDrive(NamedTuple):
     lead: float = 0.0
 
     @property
+    def driven(self) -> bool:
+        """Whether the set pressure changes."""
+        return self.amplitude != 0.0
+
+    @property
     def lag(self) -> float:
         """Phase of the fundamental [periods]: half a period more if the amplitude is negative."""
         return self.phase + (0.5 if self.amplitude < 0.0 else 0.0)
@@ -67,7 +72,7 @@ class DeclaredDrive(NamedTuple):
 def declared_drives(
     trial: Trial, chambers: int, limits: Sequence[tuple[float, float]] | None = None
 ) -> tuple[DeclaredDrive, ...] | None:
-    """Returns the drive of each chamber; None if a drive is zero, or if the drives are recorded.
+    """Returns the drive of each chamber; None if all are zero, or if the drives are recorded.
 
     `limits` are the lowest and the highest set pressure [Pa] of each chamber (default: none).
     """
@@ -87,7 +92,7 @@ def declared_drives(
         DeclaredDrive(trial.waveform, f, amplitude * ratio, phase, trial.rise, bias, *ends, lead)
         for ratio, phase, bias, ends in each
     )
-    return drives if drives and all(x.amplitude for x in drives) else None
+    return drives if any(x.driven for x in drives) else None
 
 
 def _lag_responses(
@@ -106,6 +111,7 @@ class LagFits(NamedTuple):
 
     `gain` is the signed ratio of a series to the response. `residual` is the fit residual's rms
     divided by the series' rms. Both arrays have the shape (m, chambers, time constants, delays).
+    They are NaN for a chamber whose set pressure does not change.
     """
 
     gain: np.ndarray
@@ -131,6 +137,9 @@ def fit_lags(
     gain, residual = np.zeros(shape), np.ones(shape)
     every = max(1, len(t) // MAX_SAMPLES)
     for j, drive in enumerate(chambers):
+        if not drive.driven:
+            gain[:, j] = residual[:, j] = np.nan
+            continue
         times, responses = _lag_responses(drive, float(t[-1]) + 0.02, time_constants)
         regressors: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # key: sample indices
         for i, series in enumerate(values):

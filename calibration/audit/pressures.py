@@ -96,7 +96,7 @@ def _units(
         for c, name in enumerate(r.channels.pressures):
             row, column = r.row(name), r.channels[name].column
             gain, residual = responses.gain(i)[c, c], responses.residual(i)[c, c]
-            if residual > MAX_RESIDUAL or gain == 0.0:
+            if not residual <= MAX_RESIDUAL or gain == 0.0:
                 continue
             ratio = abs(gain) / usual
             unit = min(UNITS, key=lambda u: abs(np.log(ratio / u)))

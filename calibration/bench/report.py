@@ -162,7 +162,7 @@ def draw_statics(found: Statics, folder: Path) -> None:
     """Writes a figure of every table to `folder`: measurement, model and residual."""
     for i, one in enumerate(found.bench.shapes):
         assert found.shapes is not None
-        chambers = [x.name for x in found.bench.table.robot.own_chambers]
+        chambers = [x.name for x in found.bench.table.chambers]
         path = folder / f"{Path(one.name).stem}.png"
         _draw_shapes(one, chambers, found.shapes.predicted[i], path)
     if found.ring is not None:

@@ -1,16 +1,17 @@
 """Reads bench measurements of a robot in air: a TOML file, and the tables that the file names."""
 
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from slider_jax.beam.parameters import Robot
 from slider_jax.channels import channels_of
 from slider_jax.errors import InputError
+from slider_jax.experiment.actuator_tables import ChamberTable
 from slider_jax.experiment.robot import robot_of
-from slider_jax.experiment.schema import RobotTable
+from slider_jax.experiment.schema import RobotTable, chambers_of, check_robot_actuators
 from slider_jax.experiment.tables import FROM_LIST, FileName, Table
 from slider_jax.io.csv import read_csv, read_table
 from slider_jax.io.toml import read_toml, validate
@@ -64,9 +65,20 @@ class StaticsTable(Table):
     name: str
     robot: RobotTable
     parameters: StaticParameters = StaticParameters()
+    actuators: Annotated[tuple[ChamberTable, ...], FROM_LIST] = ()
     tip_load: Annotated[tuple[TipLoadTable, ...], FROM_LIST] = ()
     pressure: Annotated[tuple[PressureTable, ...], FROM_LIST] = ()
     ring_down: Annotated[tuple[RingDownTable, ...], FROM_LIST, Field(max_length=1)] = ()
+
+    @property
+    def chambers(self) -> tuple[ChamberTable, ...]:
+        """The air chambers, from the head to the tail."""
+        return chambers_of(self.robot, self.actuators)
+
+    @model_validator(mode="after")
+    def _actuators_fit_the_robot(self) -> Self:
+        check_robot_actuators(self.robot, self.actuators)
+        return self
 
 
 class Shapes(NamedTuple):
@@ -117,10 +129,10 @@ class Bench(NamedTuple):
 def load_bench(path: Path) -> Bench:
     """Returns the content of a bench file and its tables. Raises `InputError` if it is invalid."""
     table = validate(StaticsTable, read_toml(path), str(path))
-    robot = robot_of(table.robot, table.parameters.K_Q, path.parent)
     folder = path.parent
-    shapes = [_tip_load(folder, x, table.robot) for x in table.tip_load]
-    shapes += [_pressure(folder, x, table.robot) for x in table.pressure]
+    robot = robot_of(table.robot, table.parameters.K_Q, folder, table.chambers)
+    shapes = [_tip_load(folder, x, table) for x in table.tip_load]
+    shapes += [_pressure(folder, x, table) for x in table.pressure]
     ring_down = next((_ring_down(folder, x, table.robot) for x in table.ring_down), None)
     if not shapes and ring_down is None:
         raise InputError(
@@ -129,8 +141,8 @@ def load_bench(path: Path) -> Bench:
     return Bench(table, robot, tuple(shapes), ring_down)
 
 
-def _tip_load(folder: Path, x: TipLoadTable, robot: RobotTable) -> Shapes:
-    path = folder / x.file
+def _tip_load(folder: Path, x: TipLoadTable, table: StaticsTable) -> Shapes:
+    path, robot = folder / x.file, table.robot
     columns = read_csv(path, ("force_N", "tip_m"), blank=("joint_m",), increasing="the load")
     force, tip, joint = columns["force_N"], columns["tip_m"], columns.get("joint_m")
     _enough(path, len(force))
@@ -155,16 +167,19 @@ def _tip_load(folder: Path, x: TipLoadTable, robot: RobotTable) -> Shapes:
             "forces are in newtons: 1 g weighs 0.00981 N",
         )
     _same_way(path, force, tip, "force_N")
-    idle = np.zeros((len(force), len(robot.own_chambers)))
+    idle = np.zeros((len(force), len(table.chambers)))
     return Shapes(x.file, "tip_load", tail, force, idle, tip, joint, x.tip_noise)
 
 
-def _pressure(folder: Path, x: PressureTable, robot: RobotTable) -> Shapes:
-    path = folder / x.file
-    channels = channels_of([x.name for x in robot.own_chambers])
+def _pressure(folder: Path, x: PressureTable, table: StaticsTable) -> Shapes:
+    path, robot = folder / x.file, table.robot
+    channels = channels_of([x.name for x in table.chambers])
     names = [channels[x].column for x in channels.pressures]
     if not names:
-        raise InputError(f"{path}: the robot has no chamber; add front_chamber or rear_chamber")
+        raise InputError(
+            f"{path}: the robot has no chamber; add a table [[actuators]] to the bench file for "
+            "each chamber"
+        )
     columns = read_table(path, (*names, "tip_m"))
     p = np.stack([columns[x] for x in names], axis=1)
     tip = columns["tip_m"]

@@ -15,7 +15,7 @@ from scipy.stats import norm
 from calibration.inference.noise import Noise, channel_noise, quantisation_step, signal_shares
 from calibration.measurements.records import Record, declared_noise
 from slider_jax.channels import Channel
-from slider_jax.experiment.schema import SensorsTable
+from slider_jax.experiment.sensor_tables import SensorsTable
 
 TOO_SMALL, TOO_LARGE = 1.15, 0.8
 """The measured noise replaces the declared noise if their ratio is above or below these values.

@@ -15,7 +15,7 @@ from scipy.linalg import cholesky, eigh, solve_triangular, toeplitz
 from calibration.inference.intervals import noise_floor
 from calibration.measurements.records import declared_noise
 from slider_jax.channels import Channel
-from slider_jax.experiment.schema import SensorsTable
+from slider_jax.experiment.sensor_tables import SensorsTable
 
 DISCREPANCY_TIME = 0.02
 """Correlation time of the model-discretisation discrepancy within a stride [s]. It depends on the

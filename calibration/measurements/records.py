@@ -9,7 +9,8 @@ from slider_jax.channels import Channel, ChannelSet
 from slider_jax.errors import InputError
 from slider_jax.experiment.drive import pressure_limits
 from slider_jax.experiment.load import Experiment, read_measured
-from slider_jax.experiment.schema import SensorsTable, Trial
+from slider_jax.experiment.schema import Trial
+from slider_jax.experiment.sensor_tables import SensorsTable
 
 Action = Literal["masked", "mended", "left out", "used", "refused"]
 

@@ -120,7 +120,7 @@ class ExtendedModel(eqx.Module):
         assert isinstance(drag, NormalDrag) and isinstance(reactive, ReactiveForce)
         law = self.base.pressure_law
         if isinstance(law, FirstOrderLag):
-            law = FirstOrderLag(values["", "k"])
+            law = replace(law, k=values["", "k"])
         return replace(
             self.base,
             robot=replace(self.base.robot, K_Q=values["", "K_Q"]),

@@ -29,7 +29,7 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.effects.pneumatics.drive_clock import DriveClock
 from slider_jax.experiment.load import Experiment, assemble, trial_conditions
 from slider_jax.experiment.prepare import prepare
-from slider_jax.experiment.schema import SensorsTable
+from slider_jax.experiment.sensor_tables import SensorsTable
 from slider_jax.paper import PRESSURE_LAG
 
 CHANNEL = "p_front"

@@ -20,7 +20,7 @@ import numpy as np
 from calibration.inference.noise import channel_noise, signal_shares
 from calibration.twin.block import FAULT_HYPOTHESES
 from slider_jax.channels import SLIDER_CHANNELS
-from slider_jax.experiment.schema import SensorsTable
+from slider_jax.experiment.sensor_tables import SensorsTable
 
 REFERENCE, THRESHOLD = 2.0, 6.0
 """Reference value and threshold of the CUSUM, in standard deviations (see `run_length`)."""

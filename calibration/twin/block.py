@@ -25,7 +25,7 @@ from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 from slider_jax.effects import Command, Flow, Instrument, Readings, of_place
 from slider_jax.errors import InputError
-from slider_jax.experiment.load import Experiment, to_model
+from slider_jax.experiment.load import Experiment, lag_of, to_model
 from slider_jax.experiment.schema import Trial
 
 PARAMETERS = ("k", "K_Q", "EI_tail", "tail_length")
@@ -138,7 +138,7 @@ def live_model(experiment: Experiment, trial: Trial) -> Model:
         )
     return replace(
         model,
-        pressure_law=FirstOrderLag(jnp.asarray(experiment.parameters.k)),
+        pressure_law=jax.tree.map(jnp.asarray, lag_of(experiment)),
         drive=Drive((wave,) * len(model.drive.waves), jnp.zeros(())),
     )
 
@@ -212,7 +212,8 @@ def _block(
     # A chamber fills in many sample periods, so the mean set pressure of a period is sufficient.
     since = t0 + layout.period * jnp.arange(-HISTORY - 1.0, float(layout.samples))
     waves = tuple(Held(since, x) for x in set_pressure)
-    lag = FirstOrderLag(values[0])
+    assert isinstance(model.pressure_law, FirstOrderLag)
+    lag = replace(model.pressure_law, k=values[0])
     state, p, dp, sensed, faulty = _pressures(
         layout, replace(model, drive=Drive(waves), pressure_law=lag), state, at, measured
     )
@@ -250,7 +251,7 @@ def _pressures(layout: BlockLayout, model: Model, state: BlockState, at, measure
         p, dp, sensed, faulty = carry
         segment, read = inputs
         p, dp = jax.jvp(
-            lambda k, p: advance(FirstOrderLag(k), flows, p, segment),
+            lambda k, p: advance(replace(law, k=k), flows, p, segment),
             (law.k, p),
             (jnp.ones_like(law.k), dp),
         )

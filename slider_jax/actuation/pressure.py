@@ -4,7 +4,7 @@ from abc import abstractmethod
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from slider_jax.actuation.waveform import Segment
 from slider_jax.beam.parameters import Scalar
@@ -39,11 +39,18 @@ class FirstOrderLag(PressureLaw):
 
     k: Scalar
     """Time constant [s]."""
+    ratios: Float[Array, " chambers"] | None = None
+    """Time constant of each chamber, divided by `k`; None for 1."""
+
+    @property
+    def time_constants(self) -> Float[Array, " chambers"] | Scalar:
+        """Time constant [s] of each chamber, or of all chambers."""
+        return self.k if self.ratios is None else self.k * self.ratios
 
     def advance(self, p, set_point):
-        x = set_point
-        p = _ramp_response(p, x.a0, x.a1, x.t_break - x.t0, self.k)
-        return _ramp_response(p, x.b0, x.b1, x.t1 - x.t_break, self.k)
+        x, k = set_point, self.time_constants
+        p = _ramp_response(p, x.a0, x.a1, x.t_break - x.t0, k)
+        return _ramp_response(p, x.b0, x.b1, x.t1 - x.t_break, k)
 
 
 class Ideal(PressureLaw):

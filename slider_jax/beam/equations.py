@@ -38,6 +38,8 @@ class Structure(eqx.Module):
     """1 in the cells of the tail, 0 in the cells of the body."""
     joint: Array
     """Unit delta at the joint [1/m], distributed to the two adjacent cells."""
+    area: Array | None = None
+    """Volume of displaced water per length [m^2]; None without buoyancy."""
 
 
 class Reference(eqx.Module):
@@ -70,7 +72,8 @@ class Section(eqx.Module):
     """The local state of the body that an effect reads; every entry has shape (cells,).
 
     Velocities [m/s] are in the body frame: V relative to the tank, u relative to the water. The
-    suffix `_s` is d/ds and `_t` is d/dt. The fields up to `joint` are the fields of `Structure`.
+    suffix `_s` is d/ds and `_t` is d/dt. The fields up to `joint` and `area` are the fields of
+    `Structure`.
     """
 
     linear_density: Array
@@ -102,6 +105,7 @@ class Section(eqx.Module):
     u_n_s: Array
     u_tau_t: Array
     u_n_t: Array
+    area: Array | None = None
     U_n_gradient: Array | None = None
     """Slopes (2, cells) [1/s] of the water velocity U_n along tau and n; None in uniform water."""
 

@@ -29,6 +29,7 @@ class Robot(eqx.Module):
     | `K_Q` | m^3 | bending moment of a chamber per unit pressure |
     | `point_masses` | m, kg | distance from the head and mass of each point mass |
     | `K_Q_ratios` | - | moment per unit pressure of each chamber, divided by `K_Q` |
+    | `stiffening` | N m^2/Pa | increase of EI in a chamber's span per unit pressure; None for 0 |
     """
 
     body: RobotPart
@@ -37,6 +38,7 @@ class Robot(eqx.Module):
     K_Q: Scalar
     point_masses: Float[Array, "masses 2"] | None = None
     K_Q_ratios: Float[Array, " chambers"] | Scalar = 1.0
+    stiffening: Float[Array, " chambers"] | None = None
 
     @property
     def length(self) -> Scalar:

@@ -29,6 +29,7 @@ class RobotPart(eqx.Module):
     | `EA` | N | axial stiffness |
     | `damping_time` | s | alpha: stress = E_el (1 + alpha d/dt) strain, elastic modulus E_el |
     | `height` | m | H, out-of-plane height that determines the forces of the water |
+    | `area` | m^2 | A, volume of displaced water per length; None: no buoyancy |
     """
 
     lengths: Float[Array, " pieces"] | Scalar
@@ -37,6 +38,7 @@ class RobotPart(eqx.Module):
     EA: Property
     damping_time: Property
     height: Property
+    area: Property | None = None
 
     COMPLIANT: ClassVar[tuple[str, ...]] = ("EI", "EA")
     """Properties whose reciprocals are averaged: compliances in series add up."""

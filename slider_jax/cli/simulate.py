@@ -2,6 +2,7 @@
 
 import sys
 import time
+from math import degrees
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -98,11 +99,18 @@ def simulate(
 
 
 def _lines(result, channels, seconds: float) -> list[str]:
-    frequency = result["frequency_Hz"]
+    frequency, speed = result["frequency_Hz"], result["forward_speed_m_per_s"]
+    if speed is None:
+        motion = (
+            f"thrust {1e3 * result['mean_thrust_N']:8.2f} mN  "
+            f"recoil {1e3 * result['recoil_rms_N']:7.1f} mN rms"
+        )
+    else:
+        course = result["course_rad"]
+        motion = f"forward speed {1e3 * speed:7.1f} mm/s"
+        motion += "" if course is None else f"  course {degrees(course):6.1f} deg"
     lines = [
-        f"{f'{frequency:4.1f} Hz' if frequency else 'recorded'}  "
-        f"thrust {1e3 * result['mean_thrust_N']:8.2f} mN  "
-        f"recoil {1e3 * result['recoil_rms_N']:7.1f} mN rms  "
+        f"{f'{frequency:4.1f} Hz' if frequency else 'recorded'}  {motion}  "
         f"tip +-{1e3 * result['tip_half_range_m']:6.2f} mm  ({result['averaged']}; "
         f"step {1e3 * result['step_s']:.3f} ms; {seconds:.1f} s)"
     ]

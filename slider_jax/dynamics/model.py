@@ -1,6 +1,7 @@
 """The physical model (robot, effects, pressure law, drive, support and water) and the mesh."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -81,6 +82,19 @@ class Mesh(eqx.Module):
     """Moment in each cell per unit pressure in each chamber [m^3]."""
     windows: Float[Array, "chambers cells"]
     """Fraction [-] of each chamber's moment K_Q p that acts in each cell."""
+    stiffening: Float[Array, "chambers cells"] | None = None
+    """Increase of EI in each cell per unit pressure in each chamber [N m^2/Pa]; None for 0."""
+
+    def under(self, pressure: Float[Array, " chambers"]) -> Structure:
+        """Returns the structure with EI + sum of stiffening |p|, for the `pressure` p [Pa].
+
+        The sum includes the chambers of both sides, so that EI increases even if their moments
+        cancel. Source: Comer, R. L. and Levy, S. (1963), Deflections of an inflated
+        circular-cylindrical cantilever beam, AIAA J. 1, 1652-1655.
+        """
+        if self.stiffening is None:
+            return self.structure
+        return replace(self.structure, EI=self.structure.EI + jnp.abs(pressure) @ self.stiffening)
 
 
 def _of_point_masses(robot: Robot, grid: Grid) -> Float[Array, " cells"] | float:
@@ -124,7 +138,9 @@ def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
         ds=grid.ds,
         in_tail=grid.per_cell(one, 0.0 * one),
         joint=grid.at_joint(),
+        area=None if robot.body.area is None else mean("area"),
     )
     windows = chamber_windows(robot, grid)
     K_Q = jnp.broadcast_to(robot.K_Q * robot.K_Q_ratios, windows.shape[:1])
-    return Mesh(grid, structure, K_Q[:, None] * windows, windows)
+    stiffening = None if robot.stiffening is None else robot.stiffening[:, None] * windows
+    return Mesh(grid, structure, K_Q[:, None] * windows, windows, stiffening)

@@ -121,8 +121,8 @@ def advance(
     def part(y, inputs):
         changed, plain = y
         return (
-            _through_zero(law.k, flows, changed, *inputs),
-            _through_zero(law.k, (), plain, *inputs),
+            _through_zero(law.time_constants, flows, changed, *inputs),
+            _through_zero(law.time_constants, (), plain, *inputs),
         ), None
 
     parts = (

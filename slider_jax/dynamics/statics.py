@@ -63,7 +63,7 @@ def at_rest_under(
     zero = jnp.zeros_like(mesh.grid.ds)
     internal = tuple(zero for _ in of_place(model.effects, BendingMoment))
     stage = Stage(
-        structure=mesh.structure,
+        structure=mesh.under(loads.pressure),
         effects=model.effects,
         support=model.support,
         reference=Reference(zero, zero, zero, zero, zero, internal, jnp.asarray(LONG)),

@@ -126,7 +126,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
 
         guess = jnp.tensordot(predictor, carry.history, 1)
         stage = Stage(
-            structure=mesh.structure,
+            structure=mesh.under(chambers.acting),
             effects=model.effects,
             support=support,
             reference=at_reference,

@@ -219,7 +219,7 @@ class Chamber(NamedTuple):
     p_set: Array
     """Set pressure [Pa]."""
     k: Array
-    """Time constant [s] of the lag, a scalar."""
+    """Time constant [s] of the lag: a scalar, or the time constant of each chamber."""
     rear: np.ndarray
     """Order of the chambers, from `rear_of`."""
     side: Array

@@ -1,14 +1,16 @@
-"""Tables of the actuators, and of the sensors beyond the built-in ones."""
+"""Tables of the actuators."""
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from slider_jax.experiment.tables import FROM_LIST, FileName, Length, Name, Share, Span, Table, fail
+from slider_jax.experiment.tables import FROM_LIST, FileName, Name, Span, Table, fail
 from slider_jax.io.units import Quantity
 
 Ratio = Annotated[float, Quantity(0.01, 100.0)]
 Limit = Annotated[float, Quantity(1e3, 2e6, "Pa")]
+Stiffening = Annotated[float, Quantity(0.0, 1e-4, "N m^2/Pa")]
 
 
 class ChamberTable(Table):
@@ -24,6 +26,8 @@ class ChamberTable(Table):
     K_Q_ratio: Ratio = 1.0
     side: Literal["both", "left", "right"] = "both"
     limit: Limit | None = None
+    stiffening: Stiffening = 0.0
+    k_ratio: Ratio = 1.0
 
     def acts_on(self, side: Literal["left", "right"]) -> bool:
         """Whether the actuator has a chamber on this side of the body."""
@@ -159,31 +163,34 @@ def _of_kind(given: Any) -> Any:
 AnyActuator = Annotated[ActuatorTable, BeforeValidator(_of_kind)]
 
 
-def check_actuators(actuators: tuple[ActuatorTable, ...], body: float, length: float) -> None:
+def check_actuators(actuators: Mapping[str, ActuatorTable], body: float, length: float) -> None:
     """Raises an error if the actuators do not fit a robot.
 
-    `body` and `length` are the lengths [m] of the body and of the robot.
+    The key of an actuator is the key of its span in the file, such as actuators.0.span. `body` and
+    `length` are the lengths [m] of the body and of the robot.
     """
     last: ChamberTable | None = None
-    for i, x in enumerate(actuators):
-        here, before = f"actuators.{i}", actuators[:i]
+    before: list[ActuatorTable] = []
+    for here, x in actuators.items():
         near, far = x.span
         most, what = (body, "body") if isinstance(x, ChamberTable) else (length, "robot")
         if near >= far:
-            fail(f"{here}.span", list(x.span), "[near, far] with near < far, from the head")
+            fail(here, list(x.span), "[near, far] with near < far, from the head")
         if far > most * (1.0 + 1e-9):
-            fail(f"{here}.span", list(x.span), f"spans within the {what}, 0 to {most:g} m")
+            fail(here, list(x.span), f"spans within the {what}, 0 to {most:g} m")
         if x.name in [y.name for y in before]:
-            fail(f"{here}.name", repr(x.name), "a name that no other actuator has")
+            name = f"{here.rpartition('.')[0]}.name"
+            fail(name, repr(x.name), "a name that no other actuator has")
         other = next((y for y in before if _overlap(x, y)), None)
         if other is not None:
             allowed = f"a span outside of {list(other.span)}, the span of {other.name}"
-            fail(f"{here}.span", list(x.span), allowed)
+            fail(here, list(x.span), allowed)
         if isinstance(x, ChamberTable):
             if last is not None and near < last.span[0]:
                 allowed = f"a near end of at least {last.span[0]:g} m: list chambers from the head"
-                fail(f"{here}.span", list(x.span), allowed)
+                fail(here, list(x.span), allowed)
             last = x
+        before.append(x)
 
 
 def _overlap(x: ActuatorTable, y: ActuatorTable) -> bool:
@@ -194,62 +201,3 @@ def _overlap(x: ActuatorTable, y: ActuatorTable) -> bool:
     else:
         alike = isinstance(x, ShapeTable) or isinstance(y, ShapeTable)
     return alike and near < far * (1.0 - 1e-9)
-
-
-Columns = Annotated[tuple[str, ...], FROM_LIST, Field(min_length=1, max_length=2)]
-BUILT_IN_KINDS = ("pressure", "thrust", "recoil", "tip")
-"""Kinds of channels that exist without a table. Their tables change the column and the errors."""
-AT_A_PLACE = ("marker", "curvature", "angle", "turning_rate")
-"""Kinds of channels that have a place `s`."""
-
-
-class ChannelTable(Table):
-    """[[sensors.channels]]: a sensor's channel, and its columns in the trials' CSV files.
-
-    | kind | reading |
-    |---|---|
-    | `pressure` | pressure of the `actuator`, Pa |
-    | `thrust`, `recoil` | forward force and force to the left on the clamp, N |
-    | `yaw_moment` | moment on the clamp, counter-clockwise from above, N m |
-    | `tip` | lateral position of the tip relative to the head, m |
-    | `marker` | one column: lateral position relative to the head, m. Two columns: x and y in the \
-tank, m |
-    | `curvature` | curvature, 1/m |
-    | `angle`, `turning_rate` | angle of the body, rad, and its rate, rad/s; an inertial sensor |
-    | `speed` | forward speed of the head in the tank, m/s |
-
-    `noise` is the standard deviation of the white noise in the unit of the reading; with 0, the
-    noise is estimated from the data. `tare` is the standard deviation of an offset that is constant
-    in a trial. `gain` and `discrepancy` are as in table [sensors].
-    """
-
-    kind: Literal[
-        "pressure", "thrust", "recoil", "yaw_moment", "tip", "marker", "curvature", "angle",
-        "turning_rate", "speed",
-    ]  # fmt: skip
-    name: Name | None = None
-    columns: Columns
-    actuator: Name | None = None
-    s: Length | None = None
-    noise: Annotated[float, Quantity(0.0, 1e5)] = 0.0
-    tare: Annotated[float, Quantity(0.0, 1e5)] = 0.0
-    gain: Share | None = None
-    discrepancy: Share | None = None
-
-    @model_validator(mode="after")
-    def _keys_fit_the_kind(self) -> Self:
-        if (self.kind in AT_A_PLACE) != (self.s is not None):
-            given = "nothing" if self.s is None else self.s
-            allowed = f"a distance from the head in m, only for {', '.join(AT_A_PLACE)}"
-            fail("s", given, allowed)
-        if (self.kind == "pressure") != (self.actuator is not None):
-            given = "nothing" if self.actuator is None else repr(self.actuator)
-            fail("actuator", given, "the name of an actuator, only for the kind pressure")
-        most = 2 if self.kind == "marker" else 1
-        if len(self.columns) > most:
-            fail("columns", list(self.columns), f"{most} column for the kind {self.kind}")
-        if self.name is not None and self.kind in BUILT_IN_KINDS:
-            fail("name", repr(self.name), f"nothing: the kind {self.kind} has a name")
-        if self.name is None and self.kind in AT_A_PLACE:
-            fail("name", "nothing", f"a name, because a robot can have several {self.kind}s")
-        return self

@@ -9,7 +9,7 @@ from jaxtyping import Array
 from slider_jax import observables as obs
 from slider_jax.channels import Channel, ChannelSet, channels_of
 from slider_jax.dynamics.step import Snapshot
-from slider_jax.experiment.actuator_tables import BUILT_IN_KINDS, ChannelTable
+from slider_jax.experiment.sensor_tables import BUILT_IN_KINDS, ChannelTable
 
 Sensor = Literal["camera", "other"]
 OTHER: Sensor = "other"

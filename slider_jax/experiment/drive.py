@@ -1,6 +1,6 @@
 """Builds the drive of a trial: the waveforms of the chambers and of all other actuators."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -47,9 +47,20 @@ def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, .
         )
 
 
-def _recording(trial: Trial, folder: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Returns columns of a trial's recorded drive, checked for duration and spacing."""
+Recording = dict[str, np.ndarray]
+"""Columns of a recorded drive."""
+
+
+def _recording(table: ExperimentTable, trial: Trial, folder: Path) -> Recording | None:
+    """Returns the columns of all actuators in a trial's recorded drive, or None for other drives.
+
+    The columns are checked for duration and spacing.
+    """
+    if trial.waveform != "recorded":
+        return None
     path = folder / str(trial.drive_file)
+    commanded = (x for x in table.actuators if isinstance(x, (TendonTable, MomentTable)))
+    names = (*_pressure_columns(table), *(x.column for x in commanded))
     columns = read_csv(path, (TIME, *names))
     times = columns[TIME]
     spacing = np.diff(times)
@@ -73,10 +84,15 @@ def _recording(trial: Trial, folder: Path, names: Sequence[str]) -> dict[str, np
     return columns
 
 
-def _recorded(table: ExperimentTable, trial: Trial, folder: Path) -> tuple[Recorded, ...]:
+def _pressure_columns(table: ExperimentTable) -> tuple[str, ...]:
+    return tuple(f"p_{name}_Pa" for name in table.chamber_names)
+
+
+def _recorded(
+    table: ExperimentTable, trial: Trial, folder: Path, columns: Recording
+) -> tuple[Recorded, ...]:
     """Returns the recorded pressures of the chambers, cut at the limits of set pressures."""
-    names = tuple(f"p_{name}_Pa" for name in table.chamber_names)
-    columns = _recording(trial, folder, names)
+    names = _pressure_columns(table)
     for name in names:
         check_pascal(folder / str(trial.drive_file), columns, (name,))
     series = [columns[name] for name in names]
@@ -96,14 +112,24 @@ def _limits(chamber: ChamberTable) -> tuple[float, float]:
     return -limit if chamber.acts_on("right") else 0.0, limit if chamber.acts_on("left") else 0.0
 
 
-def drive_of(table: ExperimentTable, trial: Trial, folder: Path) -> Drive:
-    """Returns the drive of the chambers in a trial; `folder` contains a recorded drive.
+def actuation_of(
+    table: ExperimentTable, trial: Trial, folder: Path
+) -> tuple[Drive, tuple[Actuator, ...]]:
+    """Returns the drive of the chambers in a trial, and all other actuators.
 
-    Raises `InputError` if a recorded drive is invalid.
+    `folder` contains the files of the drive and the actuators. Raises `InputError` if a file is
+    invalid.
     """
-    if trial.waveform == "recorded":
-        recorded = _recorded(table, trial, folder)
-        if trial.drive_is == "measured":
+    recording = _recording(table, trial, folder)
+    return _drive(table, trial, folder, recording), _actuators(table, trial, folder, recording)
+
+
+def _drive(
+    table: ExperimentTable, trial: Trial, folder: Path, recording: Recording | None
+) -> Drive:
+    if recording is not None:
+        recorded = _recorded(table, trial, folder, recording)
+        if trial.drive_is == "measured" and recorded:
             start = jnp.stack([jnp.interp(0.0, x.times, x.values) for x in recorded])
             return Drive(recorded, start)
         return Drive(recorded, jnp.zeros(len(recorded)))
@@ -157,40 +183,37 @@ def _periodic(trial: Trial) -> Callable[..., Waveform]:
     return partial(kind, trial.frequency)
 
 
-def actuators_of(table: ExperimentTable, trial: Trial, folder: Path) -> tuple[Actuator, ...]:
-    """Returns all actuators except the chambers in a trial; `folder` contains their files.
-
-    Raises `InputError` if a file is invalid.
-    """
+def _actuators(
+    table: ExperimentTable, trial: Trial, folder: Path, recording: Recording | None
+) -> tuple[Actuator, ...]:
     found: list[Actuator] = []
     for x in table.actuators:
         if isinstance(x, TendonTable):
-            found.append(_tendon(x, trial, folder))
+            found.append(_tendon(x, _command(x, trial, recording)))
         elif isinstance(x, MomentTable):
-            found.append(_moment(x, trial, folder))
+            found.append(_moment(x, _command(x, trial, recording), folder))
         elif isinstance(x, ShapeTable):
             found.append(_shape(x, trial, folder))
     return tuple(found)
 
 
-def _command(x: TendonTable | MomentTable, trial: Trial, folder: Path) -> Waveform:
+def _command(x: TendonTable | MomentTable, trial: Trial, recording: Recording | None) -> Waveform:
     """Returns the waveform of an actuator's command."""
-    if trial.waveform == "recorded":
-        columns = _recording(trial, folder, (x.column,))
-        return Recorded(jnp.asarray(columns[TIME]), jnp.asarray(columns[x.column]))
+    if recording is not None:
+        return Recorded(jnp.asarray(recording[TIME]), jnp.asarray(recording[x.column]))
     return Biased(_periodic(trial)(trial.effort * x.amplitude, x.phase), x.bias)
 
 
-def _tendon(x: TendonTable, trial: Trial, folder: Path) -> Actuator:
-    span, command = (*x.span, x.offset), _command(x, trial, folder)
+def _tendon(x: TendonTable, command: Waveform) -> Actuator:
+    span = *x.span, x.offset
     if x.stiffness is None:
         return TensionTendon(*span, command)
     return LengthTendon(*span, command, x.stiffness, x.pushes)
 
 
-def _moment(x: MomentTable, trial: Trial, folder: Path) -> Actuator:
+def _moment(x: MomentTable, command: Waveform, folder: Path) -> Actuator:
     grid = _grid(folder / x.table, "command", "curvature_per_m", "moment_N_m")
-    return MeasuredMoment(*x.span, _command(x, trial, folder), *map(jnp.asarray, grid))
+    return MeasuredMoment(*x.span, command, *map(jnp.asarray, grid))
 
 
 def _shape(x: ShapeTable, trial: Trial, folder: Path) -> Actuator:

@@ -20,7 +20,7 @@ from slider_jax.effects import Effect, NormalDrag, ReactiveForce
 from slider_jax.effects.library import KNOWN_EFFECTS, LIBRARY
 from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.declared_channels import declared_channels
-from slider_jax.experiment.drive import actuators_of, drive_of
+from slider_jax.experiment.drive import actuation_of
 from slider_jax.experiment.robot import robot_of
 from slider_jax.experiment.schema import EffectTable, ExperimentTable, ParametersTable, Trial
 from slider_jax.experiment.trial_water import water_of
@@ -197,22 +197,30 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
-    parameters, density = experiment.parameters, experiment.robot.water_density
+    density = experiment.robot.water_density
     taken = trial_conditions(experiment, trial)
     C_d, m_a = drag_and_added_mass(experiment, trial)
     measured = trial.waveform == "recorded" and trial.drive_is == "measured"
-    law: PressureLaw = Ideal() if measured else FirstOrderLag(parameters.k)
+    law: PressureLaw = Ideal() if measured else lag_of(experiment)
     extra = [_effect(table, "effects", taken) for table in experiment.effects]
+    drive, actuators = actuation_of(experiment, trial, experiment.folder)
     model = Model(
         robot=experiment.robot_model(),
         effects=(NormalDrag(C_d, density), ReactiveForce(m_a, density), *extra),
         pressure_law=law,
-        drive=drive_of(experiment, trial, experiment.folder),
+        drive=drive,
         support=_support(trial),
         water=water_of(experiment, trial, experiment.folder),
-        actuators=actuators_of(experiment, trial, experiment.folder),
+        actuators=actuators,
     )
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
+
+
+def lag_of(experiment: Experiment) -> FirstOrderLag:
+    """Returns the lag of the experiment's chambers."""
+    ratios = [x.k_ratio for x in experiment.chambers]
+    alike = all(x == 1.0 for x in ratios)
+    return FirstOrderLag(experiment.parameters.k, None if alike else jnp.array(ratios))
 
 
 def _support(trial: Trial) -> Support:

@@ -45,8 +45,14 @@ def robot_of(
     """
     chambers = table.own_chambers if chambers is None else chambers
     if isinstance(table, RobotTable):
-        own = table.model_dump(exclude={"water_density", "front_chamber", "rear_chamber"})
-        return _with_chambers(uniform_robot(**own, K_Q=K_Q), chambers)
+        own = table.model_dump(
+            exclude={"water_density", "density", "front_chamber", "rear_chamber"}
+        )
+        robot = uniform_robot(**own, K_Q=K_Q)
+        if table.density is not None:
+            area = table.linear_density / table.density
+            robot = robot.with_parts(lambda part: replace(part, area=area))
+        return _with_chambers(robot, chambers)
     segments = [_pieces(table, x, folder) for x in table.segments]
     pairs = list(zip(table.segments, segments, strict=True))
     for name, least in RIGID.items():
@@ -68,10 +74,14 @@ def robot_of(
 
 
 def _with_chambers(robot: Robot, chambers: Sequence[ChamberTable]) -> Robot:
-    ratios = [x.K_Q_ratio for x in chambers]
+    ratios, stiffening = [x.K_Q_ratio for x in chambers], [x.stiffening for x in chambers]
     alike = all(x == 1.0 for x in ratios)
-    spans = tuple(x.span for x in chambers)
-    return replace(robot, chambers=spans, K_Q_ratios=1.0 if alike else jnp.array(ratios))
+    return replace(
+        robot,
+        chambers=tuple(x.span for x in chambers),
+        K_Q_ratios=1.0 if alike else jnp.array(ratios),
+        stiffening=jnp.array(stiffening) if any(stiffening) else None,
+    )
 
 
 def _pieces(robot: SegmentedRobotTable, segment: SegmentTable, folder: Path) -> Pieces:
@@ -100,6 +110,9 @@ def _pieces(robot: SegmentedRobotTable, segment: SegmentTable, folder: Path) -> 
         else:
             values = np.full(len(at), common if own is None else own)
         found[name] = np.stack([values[:-1], values[1:]], axis=1)
+    density = robot.density_of(segment)
+    if density is not None:
+        found["area"] = found["linear_density"] / density
     return found
 
 
@@ -149,7 +162,6 @@ def _part(segments: list[Pieces]) -> RobotPart:
 
 def _no_tail(body: RobotPart) -> RobotPart:
     """Returns a tail of zero length, with the properties of the body's far end."""
-    ends = {name: getattr(body, name) for name in PROFILE_COLUMNS}
-    return RobotPart(
-        lengths=0.0, **{k: x if jnp.ndim(x) == 0 else x[-1, 1] for k, x in ends.items()}
-    )
+    ends = {name: getattr(body, name) for name in (*PROFILE_COLUMNS, "area")}
+    last = {k: x if x is None or jnp.ndim(x) == 0 else x[-1, 1] for k, x in ends.items()}
+    return RobotPart(lengths=0.0, **last)

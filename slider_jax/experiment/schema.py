@@ -13,23 +13,23 @@ from pydantic import (
 )
 
 from slider_jax.experiment.actuator_tables import (
+    ActuatorTable,
     AnyActuator,
     ChamberTable,
-    ChannelTable,
     check_actuators,
 )
+from slider_jax.experiment.sensor_tables import SensorsTable
 from slider_jax.experiment.tables import (
     FROM_LIST,
     BendingStiffness,
     DampingTime,
+    Density,
     FileName,
-    Force,
     GridFileName,
     Height,
     Length,
     LinearDensity,
     Position,
-    Share,
     Span,
     Speed,
     Stiffness,
@@ -49,6 +49,7 @@ class BodyTable(Table):
     front_chamber: Span | None = None
     rear_chamber: Span | None = None
     water_density: WaterDensity = 1000.0
+    density: Density | None = None
 
     @property
     def own_chambers(self) -> tuple[ChamberTable, ...]:
@@ -64,24 +65,6 @@ class BodyTable(Table):
     def lengths(self) -> tuple[float, float]:
         """Lengths [m] of tail and body."""
         raise NotImplementedError
-
-    @model_validator(mode="after")
-    def _chambers_do_not_overlap(self) -> Self:
-        _, body = self.lengths
-        spans = {"front_chamber": self.front_chamber, "rear_chamber": self.rear_chamber}
-        for name, span in spans.items():
-            if span is None:
-                continue
-            near, far = span
-            if near >= far:
-                fail(name, [near, far], "[near, far] with near < far, distances from the clamp")
-            if far > body * (1.0 + 1e-9):
-                fail(name, [near, far], f"spans within the body, 0 to {body:g} m")
-        front, rear = spans.values()
-        if front and rear and front[1] > rear[0]:
-            end = f"{front[1]:g} m, the front chamber's far end"
-            fail("rear_chamber", list(rear), f"a near end of at least {end}")
-        return self
 
 
 class RobotTable(BodyTable):
@@ -127,6 +110,7 @@ class SegmentTable(Table):
     EA: Stiffness | None = None
     damping_time: DampingTime | None = None
     height: Height | None = None
+    density: Density | None = None
     rigid: Annotated[bool, Field(strict=True)] = False
     profile: FileName | None = None
 
@@ -160,6 +144,10 @@ class SegmentedRobotTable(BodyTable):
     def files(self) -> list[str]:
         return sorted({x.profile for x in self.segments if x.profile is not None})
 
+    def density_of(self, segment: SegmentTable) -> float | None:
+        """Returns the mean density [kg/m^3] of a segment."""
+        return self.density if segment.density is None else segment.density
+
     @field_validator("segments")
     @classmethod
     def _body_is_before_tail(cls, segments: tuple[SegmentTable, ...]) -> tuple[SegmentTable, ...]:
@@ -182,11 +170,31 @@ class SegmentedRobotTable(BodyTable):
                 if not given and x.profile is None and not (x.rigid and name in ("EI", "EA")):
                     where = "a number here, in [robot] or in the column of a profile"
                     fail(f"segments.{i}.{name}", "nothing", where)
+        lacking = [i for i, x in enumerate(self.segments) if self.density_of(x) is None]
+        if lacking and len(lacking) < len(self.segments):
+            allowed = "a number here or in [robot], because other segments have a density"
+            fail(f"segments.{lacking[0]}.density", "nothing", allowed)
         total = sum(self.lengths)
         for i, point in enumerate(self.point_masses):
             if point.s > total:
                 fail(f"point_masses.{i}.s", point.s, f"0 to {total:g} m, the robot's length")
         return self
+
+
+def chambers_of(robot: BodyTable, actuators: tuple[ActuatorTable, ...]) -> tuple[ChamberTable, ...]:
+    """Returns the air chambers of a robot, from the head to the tail."""
+    return tuple(x for x in actuators if isinstance(x, ChamberTable)) or robot.own_chambers
+
+
+def check_robot_actuators(robot: BodyTable, actuators: tuple[ActuatorTable, ...]) -> None:
+    """Raises a validation error if the actuators do not fit the robot."""
+    own = {f"robot.{x.name}_chamber": x for x in robot.own_chambers}
+    if any(isinstance(x, ChamberTable) for x in actuators):
+        for key, chamber in own.items():
+            fail(key, list(chamber.span), "nothing, because [[actuators]] lists all chambers")
+    tail, body = robot.lengths
+    listed = {f"actuators.{i}.span": x for i, x in enumerate(actuators)}
+    check_actuators(own | listed, body, tail + body)
 
 
 def _tag_of_robot(table: Any) -> str:
@@ -244,31 +252,6 @@ class ParametersTable(Table):
         if any(b <= a for a, b in zip(given_at, given_at[1:], strict=False)):
             fail("coefficients", given_at, "frequencies that increase from table to table")
         return self
-
-
-class SensorsTable(Table):
-    """[sensors]: standard deviations and correlation time of sensor errors, and sample rate.
-
-    Gains are fractions of the reading, and discrepancies are fractions of the channel's rms.
-    """
-
-    pressure_noise: Annotated[float, Quantity(0.0, 1e5, "Pa")] = 0.0
-    force_noise: Force = 0.0
-    force_tare: Force = 0.0
-    force_slow_noise: Force = 0.0
-    force_slow_time: Annotated[float, Quantity(1e-3, 100.0, "s")] = 0.1
-    tip_noise: Annotated[float, Quantity(0.0, 0.1, "m")] = 0.0
-    start_swing: Annotated[float, Quantity(0.0, 0.1, "m")] = 0.0
-    pressure_gain: Share | None = None
-    thrust_gain: Share | None = None
-    recoil_gain: Share | None = None
-    tip_gain: Share | None = None
-    pressure_discrepancy: Share | None = None
-    thrust_discrepancy: Share | None = None
-    recoil_discrepancy: Share | None = None
-    tip_discrepancy: Share | None = None
-    sample_rate: Annotated[float, Quantity(1.0, 1e5, "Hz")] = 500.0
-    channels: Annotated[tuple[ChannelTable, ...], FROM_LIST] = ()
 
 
 class VortexStreetTable(Table):
@@ -433,8 +416,7 @@ class ExperimentTable(Table):
     @property
     def chambers(self) -> tuple[ChamberTable, ...]:
         """The air chambers, from the head to the tail."""
-        given = tuple(x for x in self.actuators if isinstance(x, ChamberTable))
-        return given or self.robot.own_chambers
+        return chambers_of(self.robot, self.actuators)
 
     @property
     def chamber_names(self) -> tuple[str, ...]:
@@ -443,14 +425,7 @@ class ExperimentTable(Table):
 
     @model_validator(mode="after")
     def _actuators_fit_the_robot(self) -> Self:
-        listed = any(isinstance(x, ChamberTable) for x in self.actuators)
-        for key in ("front_chamber", "rear_chamber"):
-            span = getattr(self.robot, key)
-            if listed and span is not None:
-                allowed = "nothing, because [[actuators]] lists all chambers"
-                fail(f"robot.{key}", list(span), allowed)
-        tail, body = self.robot.lengths
-        check_actuators(self.actuators, body, tail + body)
+        check_robot_actuators(self.robot, self.actuators)
         for i, trial in enumerate(self.trials):
             for key in ("ratios", "phases", "biases"):
                 given = getattr(trial, key)

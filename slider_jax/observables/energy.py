@@ -27,7 +27,7 @@ def stored_energy(x: Snapshot) -> StoredEnergy:
     section, body, integral = x.section(), x.mesh.structure, x.mesh.grid.integral
     return StoredEnergy(
         kinetic=integral(0.5 * body.linear_density * (section.V_tau**2 + section.V_n**2)),
-        bending=integral(0.5 * body.EI * section.kappa**2),
+        bending=integral(0.5 * section.EI * section.kappa**2),
         stretching=integral(0.5 * body.EA * section.strain**2),
     )
 

@@ -173,7 +173,9 @@ class Plant:
             pasts.append(past)
         assert isinstance(model.pressure_law, FirstOrderLag)
         lower = jnp.minimum(left, right)
-        shared = lower + (state.shared - lower) * jnp.exp(-self.step / model.pressure_law.k)
+        shared = lower + (state.shared - lower) * jnp.exp(
+            -self.step / model.pressure_law.time_constants
+        )
         after = PlantState(run.final, commanded, shared, tuple(pasts))
         return after, _pack(read, after)
 

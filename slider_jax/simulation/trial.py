@@ -35,14 +35,19 @@ class SavedSeries:
     """Selects the series that are saved at every step: the true reading of each channel.
 
     If `shape` is true, three series are added: `midline` (2, nodes) [m] relative to the head,
-    `moment` (nodes,) [N m], and `force` (2, cells), the effects' force per length [N/m].
+    `moment` (nodes,) [N m], and `force` (2, cells), the effects' force per length [N/m]. If `path`
+    is true, two series are added: `head` (2,) [m], the position of the head in the tank, and
+    `ahead` (2,) [m], the vector from the tail to the head.
     """
 
     channels: ChannelSet
     shape: bool = False
+    path: bool = False
 
     def __call__(self, x: Snapshot) -> dict[str, Array]:
         saved = self.channels.observe(x)
+        if self.path:
+            saved |= {"head": x.head, "ahead": x.head - obs.midline(x)[:, 0]}
         if not self.shape:
             return saved
         section = x.section()
@@ -62,6 +67,8 @@ class SavedSeries:
         pressures = self.channels.pressures
         start = np.broadcast_to(model.drive.start, len(pressures))
         values |= dict(zip(pressures, start, strict=True))
+        if self.path:
+            values |= {"head": np.zeros(2), "ahead": midline[:, -1] - midline[:, 0]}
         if self.shape:
             values["midline"] = midline
             values["moment"] = np.zeros(midline.shape[1])
@@ -165,7 +172,7 @@ def simulate_prepared(
     with the trial, time and step if a step does not converge.
     """
     model, numerics, grid = prepared.model, prepared.numerics, prepared.grid
-    save = SavedSeries(prepared.channels, shape)
+    save = SavedSeries(prepared.channels, shape, path=prepared.trial.support == "free")
     start, line = _begin(model, numerics)
     h = jnp.asarray(grid.h)
 

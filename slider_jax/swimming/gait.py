@@ -54,13 +54,13 @@ def to_swimmer(model: Model, gait: Gait | None = None) -> Model:
     """Returns the model of a free swimmer in still water, with drive and tail of `gait` if given.
 
     Raises `InputError` if an effect moves the water, or if the water is nonuniform: speeds are
-    relative to still water. `swim_in_water` simulates a free swimmer in moving water.
+    relative to still water. A free trial simulates a swimmer in moving water.
     """
     if isinstance(model.water, WaterField):
         raise InputError(
             "water: given a velocity field; a free swimmer's steady speed is relative to still "
-            "water: remove `field` and `vortex_street`, or call the function "
-            "slider_jax.swimming.in_water.swim_in_water"
+            "water: remove `field` and `vortex_street`, or run `slider simulate` for a trial with "
+            'support = "free"'
         )
     moving = of_place(model.effects, WaterMotion)
     if moving:

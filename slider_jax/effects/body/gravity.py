@@ -1,5 +1,6 @@
-"""Weight, for climbing in air."""
+"""Weight and buoyancy, for a plane of motion that is not horizontal."""
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
@@ -8,13 +9,14 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class Gravity(ForceDensity):
-    """Weight minus buoyancy per length, along -x. The x axis of a climbing robot points up.
+    """Weight minus buoyancy per length. The x axis of a climbing robot points up.
 
-        (F_x, F_y) = (-m g/(1 + eps), 0)
+        (F_x, F_y) = -(m - rho A) g/(1 + eps) (cos(up), sin(up))
 
-    m is the mass per unstretched length and eps the axial strain. In water, use g (1 - rho A/m),
-    with the water's density rho and the cross-section A. Source: Archimedes' principle, Batchelor,
-    G. K. (1967), An Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
+    m is the mass and A the volume of displaced water, both per unstretched length; eps is the axial
+    strain. In water, the tension T of the beam is the tension plus the pressure of the water times
+    the cross-section, so it is 0 at a free end. Source: Archimedes' principle, Batchelor, G. K.
+    (1967), An Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
     """
 
     title = "weight"
@@ -23,9 +25,16 @@ class Gravity(ForceDensity):
     is_candidate = False
     in_air = True
 
-    g: Scalar = parameter(0.0, 0.0, 9.81, "m/s^2", "9.81 in air; almost 0 in water")
-    """g, acceleration of gravity, reduced by buoyancy."""
+    g: Scalar = parameter(
+        0.0, 0.0, 9.81, "m/s^2", "9.81 if the plane of motion is vertical, 0 if it is horizontal"
+    )
+    """g, component of the acceleration of gravity in the plane of motion."""
+    up: Scalar = eqx.field(default=0.0)
+    """Angle [rad] of the upward direction from the x axis; 1.5708 if the y axis points up."""
+    density: Scalar = eqx.field(default=0.0)
+    """Density rho [kg/m^3] of the water around the robot; 0 in air."""
 
     def force(self, x):
-        weight = x.linear_density * self.g / (1.0 + x.strain)
-        return to_body((-weight, jnp.zeros_like(weight)), x.phi)
+        mass = x.linear_density if x.area is None else x.linear_density - self.density * x.area
+        weight = mass * self.g / (1.0 + x.strain)
+        return to_body((-weight * jnp.cos(self.up), -weight * jnp.sin(self.up)), x.phi)

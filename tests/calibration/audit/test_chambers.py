@@ -167,6 +167,31 @@ def test_the_declared_drive_has_bias_limits_and_lead():
 
 
 def test_an_undriven_trial_is_not_compared():
-    trial = Trial(file="a.csv", frequency=2.0, amplitude=1e5, rear_ratio=-1.0, duration=1.0)
+    trial = Trial(file="a.csv", frequency=2.0, amplitude=0.0, duration=1.0)
     assert declared_drives(trial, 3) is None and declared_drives(trial, 0) is None
-    assert len(declared_drives(trial, 2)) == 2
+
+
+@pytest.mark.parametrize("ratios", [[1.0, 0.0, 0.5], [0.0, 1.0, 0.5]])
+def test_a_chamber_without_amplitude_does_not_hide_faults_of_the_others(ratios):
+    """The trials 0 and 4 drive two of the three chambers; the other trials drive all of them."""
+    given = records(3)
+    for i in (0, 4):
+        given[i] = records(3, ratios=ratios)[i]
+    own = [c for c in range(3) if ratios[c]]
+    assert_mended(given, given)
+    damaged = altered(given, 4, with_row(own[1], lambda p: 1e-3 * p))
+    assert_mended(given, damaged, ("trial_04.csv", "units", f"p_c{own[1]}", "mended"))
+    columns = np.arange(6)
+    columns[own] = own[::-1]
+    damaged = altered(given, 4, lambda values: values[columns])
+    names = ", ".join(f"p_c{c}" for c in own)
+    assert_mended(given, damaged, ("trial_04.csv", "swapped_columns", names, "mended"))
+    late = lagged_square(given[4].t, 3.0, declared_drives(given[4].trial, 3)[own[1]].phase + 0.13)
+    scale = ratios[own[1]] * given[4].trial.amplitude
+    found = check_pressures(altered(given, 4, with_row(own[1], lambda _: scale * late)), RATE)[1]
+    assert kinds(found) == [("trial_04.csv", "wrong_phase", f"p_c{own[1]}", "left out")]
+    strong = altered(given, 4, with_row(own, lambda p: 1.6 * p))
+    assert [x.kind for x in check_pressures(strong, RATE)[1]] == ["wrong_amplitude"]
+    other = 2e5 * lagged_square(given[4].t, 3.7, 0.0)
+    foreign = altered(given, 4, with_row(own, lambda p: other + 0.0 * p))
+    assert [x.kind for x in check_pressures(foreign, RATE)[1]] == ["wrong_drive"]

@@ -356,3 +356,42 @@ def test_a_bench_without_tables_is_refused(tmp_path):
     path.write_text(BENCH.split("[[tip_load]]")[0])
     with pytest.raises(InputError, match="no table; add"):
         load_bench(path)
+
+
+CHAMBERS = (("head", (0.02, 0.1), 1.0), ("middle", (0.11, 0.19), 1.3), ("rear", (0.2, 0.28), 0.7))
+THREE = BENCH.replace(
+    "front_chamber = [0.02, 0.145]\nrear_chamber = [0.155, 0.28]\n", ""
+) + "".join(
+    f'[[actuators]]\nkind = "pneumatic"\nname = "{name}"\n'
+    f"span = {list(span)}\nK_Q_ratio = {ratio}\n"
+    for name, span, ratio in CHAMBERS
+)
+
+
+def arcs(pressures):
+    """Returns the tip [m] of circular arcs under the pressures of the three chambers."""
+    angle, y, at = 0.0, 0.0, 0.0
+    for (_, (near, far), ratio), p in zip(CHAMBERS, pressures, strict=True):
+        turn = ratio * TRUTH["K_Q"] * p * (far - near) / 0.038
+        y += (near - at) * math.sin(angle)
+        y += (far - near) * math.sin(angle + 0.5 * turn) * np.sinc(0.5 * turn / math.pi)
+        angle, at = angle + turn, far
+    return y + (0.37 - at) * math.sin(angle)
+
+
+def test_a_bench_of_three_chambers_identifies_K_Q(tmp_path):
+    p = np.stack([PRESSURES, 0.5 * PRESSURES, -0.4 * PRESSURES], axis=1)
+    rows = "".join(f"{a},{b},{c},{arcs((a, b, c))}\n" for a, b, c in p)
+    (tmp_path / "bent.csv").write_text(f"p_head_Pa,p_middle_Pa,p_rear_Pa,tip_m\n{rows}")
+    text = THREE[: THREE.index("[[tip_load]]")] + THREE[THREE.index("[[pressure]]") :]
+    (tmp_path / "bench.toml").write_text(text)
+    found = fit_shapes(load_bench(tmp_path / "bench.toml"), MESH)
+    assert list(found.parameters) == ["K_Q"]
+    assert found.parameters["K_Q"].value == pytest.approx(TRUTH["K_Q"], rel=3e-3)
+
+
+def test_a_bench_with_two_lists_of_chambers_is_refused(tmp_path):
+    path = tmp_path / "bench.toml"
+    path.write_text(THREE.replace("height = 0.03", "height = 0.03\nrear_chamber = [0.155, 0.28]"))
+    with pytest.raises(InputError, match=r"robot.rear_chamber: .*\[\[actuators\]\] lists all"):
+        load_bench(path)

@@ -15,7 +15,8 @@ from calibration.model.plan import Resolution, plan_trial
 from calibration.model.predict import predict_each
 from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.experiment.load import load
-from slider_jax.experiment.schema import SensorsTable, Trial
+from slider_jax.experiment.schema import Trial
+from slider_jax.experiment.sensor_tables import SensorsTable
 from tests.support.data import ROOT
 
 FREQUENCIES = (0.7, 1.3, 2.1, 2.9, 3.7, 4.6)

@@ -14,7 +14,8 @@ from calibration.inference.measured_noise import (
 from calibration.inference.noise import Noise
 from calibration.measurements.records import Record
 from slider_jax.channels import SLIDER_CHANNELS
-from slider_jax.experiment.schema import SensorsTable, Trial
+from slider_jax.experiment.schema import Trial
+from slider_jax.experiment.sensor_tables import SensorsTable
 
 SENSORS = SensorsTable(
     pressure_noise=700.0, force_noise=0.02, force_slow_noise=0.01, force_slow_time=0.1

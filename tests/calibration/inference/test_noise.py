@@ -20,7 +20,7 @@ from calibration.inference.noise import (
     quantisation_step,
 )
 from slider_jax.channels import SLIDER_CHANNELS
-from slider_jax.experiment.schema import SensorsTable
+from slider_jax.experiment.sensor_tables import SensorsTable
 
 T = np.arange(1000) / 500.0
 NOISE = Noise(white=0.02, slow=0.01, slow_time=0.1, tare=0.01, gain=0.01, discrepancy=0.07)

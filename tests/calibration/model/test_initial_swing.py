@@ -15,7 +15,7 @@ from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import at_rest, with_motion
 from slider_jax.experiment.load import load
-from slider_jax.experiment.schema import SensorsTable
+from slider_jax.experiment.sensor_tables import SensorsTable
 from slider_jax.observables import tip
 from tests.support.experiments import write_small_experiment
 

@@ -1,14 +1,21 @@
 """Tests of [[actuators]]: any number of chambers, their sides, limits and drives, and bad input."""
 
+import math
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from slider_jax.beam.parameters import Numerics
 from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.statics import Loads, at_rest_under
 from slider_jax.dynamics.time_schemes import SDIRK2
 from slider_jax.errors import InputError
+from slider_jax.experiment import drive
 from slider_jax.experiment.load import load, to_model, to_numerics
 from slider_jax.experiment.playback import read_played
+from slider_jax.io.csv import read_csv
 from slider_jax.io.files import write_csv
 from slider_jax.observables import thrust
 from slider_jax.simulation.trial import simulate_trial
@@ -85,6 +92,30 @@ def test_each_chamber_has_its_own_moment_per_pressure(tmp_path):
     np.testing.assert_allclose(found["tip"], old["tip"], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("effect", ["", '[[effects]]\nname = "leakage"\n'])
+def test_each_chamber_has_its_own_time_constant(tmp_path, effect):
+    """The first rise to A after the start is A (1 - exp(-t/(r k))); an effect at its null, too."""
+    slow = chamber("rear", 0.155, 0.28, "k_ratio = 1.7")
+    together = ("rear_ratio = 0.9\nphase = 0.1\n", "")
+    path = with_actuators(tmp_path, FRONT + slow + effect, together)
+    assert (law := to_model(load(path)).pressure_law).k == 0.087
+    np.testing.assert_allclose(law.time_constants, [0.087, 1.7 * 0.087])
+    series = series_of(path)
+    t = np.linspace(0.0, 0.75, len(series["tip"]))
+    rise = t < 0.125 - 1e-9
+    for name, ratio in (("p_front", 1.0), ("p_rear", 1.7)):
+        exact = 150e3 * (1.0 - np.exp(-t / (ratio * 0.087)))
+        np.testing.assert_allclose(series[name][rise], exact[rise], atol=1e-6 * 150e3)
+
+
+def test_ratios_of_1_do_not_change_the_program(tmp_path):
+    plain, null = (
+        to_model(load(with_actuators(tmp_path, chamber("only", 0.02, 0.28, keys))))
+        for keys in ("", "k_ratio = 1.0\nK_Q_ratio = 1.0")
+    )
+    assert jax.tree.structure(plain) == jax.tree.structure(null)
+
+
 def test_a_left_and_a_right_chamber_are_a_pair(tmp_path):
     """Both take their half of the same wave, so their signed pressures add up to the pair's.
 
@@ -99,6 +130,46 @@ def test_a_left_and_a_right_chamber_are_a_pair(tmp_path):
     assert apart["p_left"].min() >= 0.0 and apart["p_right"].max() <= 0.0
     np.testing.assert_allclose(apart["p_left"] + apart["p_right"], pair["p_pair"], atol=1e-6)
     np.testing.assert_allclose(apart["tip"], pair["tip"], rtol=1e-9, atol=1e-12)
+
+
+def test_co_contraction_stiffens_the_body_without_bending_it(tmp_path):
+    """Two chambers of c |p| each, over the body: EI' = EI + c (p_left + p_right).
+
+    Their difference bends the body to an arc of the curvature K_Q (p_left - p_right)/EI', behind
+    which the tail is straight. A small force F on the tail's end deflects it by
+    F ((L^3 - t^3)/(3 EI') + t^3/(3 EI_t)), with the length t of the tail.
+    """
+    c, base, difference, force = 1e-7, 150e3, 10e3, 1e-4
+    keys = f"stiffening = {c}\nside = "
+    sides = "".join(chamber(x, 0.0, 0.3, f'{keys}"{x}"') for x in ("left", "right"))
+    model = to_model(load(with_actuators(tmp_path, sides)))
+    robot, t, body = model.robot, 0.07, 0.3
+    assert (float(robot.body.length), float(robot.tail.length)) == (body, t)
+    EI = float(robot.body.EI) + 2.0 * c * base
+    numerics = Numerics(tail_cells=10, body_cells=40)
+    pressures = np.array([base + 0.5 * difference, 0.5 * difference - base])
+    bent = at_rest_under(model, Loads(jnp.zeros(2), jnp.asarray(pressures)), numerics)
+    turn = float(robot.K_Q) * difference * body / EI
+    y = body * (1.0 - math.cos(turn)) / turn + t * math.sin(turn)
+    np.testing.assert_allclose(bent.shape[1, 0], y, rtol=1e-3)
+    still = Loads(jnp.asarray([0.0, force]), jnp.asarray([base, -base]))
+    loaded = at_rest_under(model, still, numerics)
+    L = t + body
+    y = force * ((L**3 - t**3) / EI + t**3 / float(robot.tail.EI)) / 3.0
+    np.testing.assert_allclose(loaded.shape[1, 0], y, rtol=1e-3)
+
+
+def test_chambers_without_stiffening_have_the_same_program(tmp_path):
+    """The key changes the program, and its null value does not."""
+    plain, null, stiff = (
+        to_model(load(with_actuators(tmp_path, chamber("only", 0.02, 0.28, keys))))
+        for keys in ("", "stiffening = 0.0", "stiffening = 1e-7")
+    )
+    assert jax.tree.structure(plain) == jax.tree.structure(null) != jax.tree.structure(stiff)
+    series = series_of(with_actuators(tmp_path, chamber("only", 0.02, 0.28, "stiffening = 1e-7")))
+    free = series_of(with_actuators(tmp_path, chamber("only", 0.02, 0.28)))
+    np.testing.assert_array_equal(series["p_only"], free["p_only"])
+    assert np.ptp(series["tip"]) < 0.9 * np.ptp(free["tip"])
 
 
 def test_a_limit_and_a_bias_change_the_set_pressure(tmp_path):
@@ -406,6 +477,45 @@ def test_chambers_are_described_only_once(tmp_path):
         InputError, match=r"trials\.0\.amplitude: given 150000\.0; allowed 0, as the"
     ):
         load(write_small_experiment(tmp_path, (SPANS, "")))
+
+
+def test_the_chambers_of_the_robot_are_checked_like_those_of_a_list(tmp_path):
+    """Both chambers in [robot] take part in all checks of [[actuators]]."""
+    cases = {
+        "rear_chamber: given [0.1, 0.28]; allowed a span outside of [0.02, 0.145]": "[0.1, 0.28]",
+        "rear_chamber: given [0.2, 0.2]; allowed [near, far] with near < far": "[0.2, 0.2]",
+        "rear_chamber: given [0.0, 0.01]; allowed a near end of at least 0.02 m": "[0.0, 0.01]",
+    }
+    for message, span in cases.items():
+        path = write_small_experiment(tmp_path, ("[0.155, 0.28]", span))
+        assert f"robot.{message}" in refusal_of(path)
+    path = write_small_experiment(tmp_path, ("[[trials]]", f"{shape(WAVE)}[[trials]]"))
+    assert "actuators.0.span: given [0.05, 0.25]; allowed a span outside" in refusal_of(path)
+
+
+def test_a_recorded_drive_is_read_once(tmp_path, monkeypatch):
+    recorded = (
+        "frequency = 4.0\namplitude = 150000.0\nrear_ratio = 0.9\nphase = 0.1\n",
+        'waveform = "recorded"\ndrive_file = "drive.csv"\ndrive_is = "measured"\n',
+    )
+    still = ("amplitude = 250000.0", "amplitude = 0.0")
+    tendons = tendon("a", "tension = 1.0") + tendon("b", "tension = 1.0")
+    read: list[str] = []
+
+    def counted(path, *args, **options):
+        read.append(path.name)
+        return read_csv(path, *args, **options)
+
+    monkeypatch.setattr(drive, "read_csv", counted)
+    t = np.linspace(0.0, 0.8, 81)
+    table = np.stack([t, *(1e4 * np.sin(12.0 * t + i) for i in range(3))], axis=1)
+    header = "t_s,a_N,b_N,p_only_Pa"
+    np.savetxt(tmp_path / "drive.csv", table, delimiter=",", header=header, comments="")
+    for chambers in ("", chamber("only", 0.02, 0.28)):
+        model = to_model(load(with_actuators(tmp_path, chambers + tendons, recorded, still)))
+        np.testing.assert_allclose(model.actuators[1].wave.values, table[:, 2])
+        assert len(model.drive.waves) == bool(chambers)
+    assert read == ["drive.csv"] * 2
 
 
 def test_a_recorded_drive_has_a_column_for_each_chamber(tmp_path):

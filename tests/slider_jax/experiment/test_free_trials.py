@@ -1,9 +1,13 @@
 """Tests of trials of a free robot, and of trials that begin in periodic motion."""
 
+import json
+
 import numpy as np
 import pytest
 
+from slider_jax.cli.main import main
 from slider_jax.experiment.load import load, to_model
+from slider_jax.simulation.summary import trial_summary
 from slider_jax.simulation.trial import simulate_trial
 from slider_jax.supports import Free
 from tests.support.experiments import write_small_experiment
@@ -63,6 +67,32 @@ def test_a_free_robot_without_drive_coasts(tmp_path):
     np.testing.assert_allclose(series["head_x"], 0.3 * t, atol=1e-9)
 
 
+RHO, C_T, H, M, C, START = 1000.0, 0.02, 0.03, 0.7, 0.4, 0.3
+FRICTIONS = {
+    f'name = "tangential_friction"\nC_t = {C_T}': lambda t: (
+        START / (1.0 + RHO * C_T * H / M * START * t)
+    ),
+    f'name = "linear_friction"\nc = {C}': lambda t: START * np.exp(-C / M * t),
+}
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_a_straight_robot_coasts_against_friction(tmp_path, friction):
+    """The increments of Newton's method are rounding errors, and the steps converge.
+
+    m dV/dt = -rho C_t H V^2 or -c V. The error of steps of 5 ms is of order (c h/m)^2 < 1e-5.
+    """
+    series = run_with(
+        tmp_path,
+        ("amplitude = 150000.0", "amplitude = 0.0"),
+        ('support = "free"', f'support = "free"\nstart_speed = {START}'),
+        ("\n[[trials]]", f"\n[[effects]]\n{friction}\n\n[[trials]]"),
+    ).series
+    t = np.linspace(0.0, 0.75, len(series["speed"]))
+    np.testing.assert_allclose(series["speed"][1:], FRICTIONS[friction](t[1:]), rtol=1e-5)
+    np.testing.assert_array_equal(series["head_y"], 0.0)
+
+
 def test_the_momentum_of_a_free_robot_in_air_stays(tmp_path):
     """Without water, the chambers cannot move the centre of mass: dp/dt = 0 in both directions."""
     air = ("C_d = 3.0\nm_a = 1.0", "C_d = 0.0\nm_a = 0.0")
@@ -89,6 +119,34 @@ def test_lead_strides_begin_the_trial_in_later_strides(tmp_path):
     np.testing.assert_allclose(
         late.columns["x_m"], whole.columns["x_m"][columns], rtol=1e-9, atol=1e-12
     )
+
+
+def test_the_summary_of_a_free_trial_has_speed_and_course_and_no_forces(tmp_path):
+    """A robot without drive keeps its speed; backwards, its speed is negative."""
+    for speed in (0.3, -0.3):
+        free = f'support = "free"\nstart_speed = {speed}\nheading = 0.4'
+        changes = ("amplitude = 150000.0", "amplitude = 0.0"), ('support = "free"', free)
+        path = write_small_experiment(tmp_path, FREE, *changes)
+        result = trial_summary(load(path), simulate_trial(load(path)))
+        assert result["mean_thrust_N"] is None and result["recoil_rms_N"] is None
+        assert result["forward_speed_m_per_s"] == pytest.approx(speed, rel=1e-9)
+        assert result["course_rad"] == pytest.approx(0.4 if speed > 0.0 else 0.4 - np.pi)
+        assert result["periodic"]
+
+
+def test_a_changing_speed_is_not_periodic(tmp_path, capsys):
+    """The robot starts at rest, so its speed differs from stride to stride."""
+    path = write_small_experiment(tmp_path, FREE)
+    assert main(["simulate", str(path), "--out", str(tmp_path / "out")]) == 0
+    free, clamped = (
+        next(x for x in lines if "Hz" in x and name in x)
+        for lines in [capsys.readouterr().err.splitlines()]
+        for name in ("trial_00", "trial_01")
+    )
+    assert "forward speed" in free and "course" in free and "thrust" not in free
+    assert "thrust" in clamped and "speed" not in clamped
+    result, _ = json.loads((tmp_path / "out" / "summary.json").read_text())["trials"]
+    assert result["periodic"] is False and "forward speed from" in result["warnings"][0]
 
 
 def test_the_support_comes_from_the_trial(tmp_path):
