@@ -29,7 +29,12 @@ LAYERS = [
     {"calibration.measurements"},
     {"calibration.audit", "calibration.inference"},
     {"calibration.bench", "calibration.reporting", "calibration.twin"},
-    {"calibration.discrepancy", "calibration.lamprey", "calibration.robot_fish"},
+    {
+        "calibration.discrepancy",
+        "calibration.lamprey",
+        "calibration.robot_fish",
+        "calibration.tentacle",
+    },
     {"calibration.experiment_design", "calibration.free_swimming", "calibration.pressure_logs"},
     {"calibration.identification", "calibration.learning"},
     {"rig.errors", "rig.files", "rig.scheduling", "rig.protocol"},

@@ -32,7 +32,7 @@ def statics(
     refuse_own_folder(out, input.parent)
     with staged(out) as stage:
         found = solve_equilibrium(case.rod, case.loads)
-        eigenvalue = float(smallest_eigenvalue(found.strains, case.rod, case.loads))
+        eigenvalue = smallest_eigenvalue(found.strains, case.rod, case.loads)
         write_statics(case, found, eigenvalue, stage)
     tip = ", ".join(f"{x:.6g}" for x in found.shape.position[-1].tolist())
     moment = ", ".join(f"{x:.6g}" for x in found.moment.tolist())

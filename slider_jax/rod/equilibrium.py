@@ -16,6 +16,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
@@ -149,12 +150,11 @@ def stiffness_matrix(
     return tangent.reshape(size, size)
 
 
-def smallest_eigenvalue(
-    strains: Float[Array, "cells q"], rod: Rod, loads: RodLoads
-) -> Float[Array, ""]:
+def smallest_eigenvalue(strains: Float[Array, "cells q"], rod: Rod, loads: RodLoads) -> float:
     """Returns the smallest real part of the eigenvalues of the stiffness matrix.
 
     It is at most 1, the value without loads. The equilibrium is stable against small static
     disturbances if the value is positive. The criterion does not find flutter under follower loads.
     """
-    return jnp.min(jnp.real(jnp.linalg.eigvals(stiffness_matrix(strains, rod, loads))))
+    matrix = np.asarray(eqx.filter_jit(stiffness_matrix)(strains, rod, loads))
+    return float(np.linalg.eigvals(matrix).real.min())

@@ -1,0 +1,139 @@
+"""The arm: a cone of soft material that hangs from its thick end, with two tendons in its wall.
+
+Source of dimensions and frames: github.com/tud-phi/soromox, folder
+paper_results/secVa_system_identification (MIT).
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from slider_jax.beam.parameters import G
+from slider_jax.rod.equilibrium import RodEquilibrium, equilibrium
+from slider_jax.rod.loads import RodLoads, Tendon
+from slider_jax.rod.rod import Rod
+from slider_jax.rod.rotations import mean_rotation, rotation
+
+LENGTH, TENDON_END = 0.360, 0.305
+"""Lengths [m] of the arm, and of the part with tendons."""
+RADII = ((0.0, 0.01541), (TENDON_END, 0.00642), (LENGTH, 0.00480))
+"""Distance from the base and radius [m] of the section, linear in between."""
+TENDON_ANGLES = (np.deg2rad(30.0), np.deg2rad(150.0))
+"""Angles [rad] of the tendons around the axis, from n towards b."""
+TENDON_RADIUS, TENDON_TAPER = 0.0114, -0.0295
+"""Distance [m] of the tendons from the axis at the base, and its change along the arm."""
+MARKER_S = (0.1291, 0.2195, 0.2800, 0.3600)
+"""Distances [m] of the markers from the base."""
+MARKER_OFFSETS = ((0.0, 0.0, 0.025), (0.0, 0.0, -0.021), (0.0, 0.0, 0.020), (0.008, 0.0, 0.0))
+"""Places (t, n, b) [m] of the markers relative to the axis."""
+CLAMP = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
+"""Frame at the base, with t, n and b as columns: the arm hangs along -z."""
+CELLS = 24
+"""Number of cells."""
+INCREMENTS = 8
+"""Number of load increments from the unloaded arm."""
+POISSON = 0.45
+"""Poisson's ratio. Two tendons hardly twist the arm, so the markers do not determine it."""
+
+
+class ArmParameters(NamedTuple):
+    """The parameters of the arm."""
+
+    E: Array | float = 5.05e5
+    """Young's modulus [Pa]."""
+    density: Array | float = 1500.0
+    """Density [kg/m^3]."""
+    base: Array | float = 0.0
+    """Height [m] of the arm's base above its stated place."""
+
+
+class ArmShape(NamedTuple):
+    """Shape of the arm under given tensions."""
+
+    markers: Float[Array, "4 3"]
+    """Positions (x, y, z) [m] of the markers."""
+    strains: Float[Array, "cells 4"]
+    ok: Bool[Array, ""]
+
+
+def rod_of(parameters: ArmParameters) -> Rod:
+    """Returns the arm as a rod, with the properties of its circular sections."""
+    ds = LENGTH / CELLS
+    s = (np.arange(CELLS) + 0.5) * ds
+    places, radii = np.array(RADII).T
+    radius = np.interp(s, places, radii)
+    E, shear = parameters.E, parameters.E / (2.0 * (1.0 + POISSON))
+    EI = E * np.pi * radius**4 / 4.0
+    return Rod(
+        ds=jnp.full(CELLS, ds),
+        stiffness=jnp.stack([shear * np.pi * radius**4 / 2.0, EI, EI], axis=1),
+        initial_curvature=jnp.zeros((CELLS, 3)),
+        clamp=jnp.array(CLAMP),
+        weight=parameters.density * G * np.pi * radius**2,
+        EA=E * np.pi * radius**2,
+    )
+
+
+def tendons_of(tensions: Float[Array, "2"]) -> tuple[Tendon, ...]:
+    """Returns both tendons with the given tensions [N]."""
+    ds = LENGTH / CELLS
+    near = np.arange(CELLS) * ds
+    end = np.minimum(near + ds, TENDON_END)
+    share = np.clip(end - near, 0.0, None) / ds
+    s = 0.5 * (near + np.maximum(end, near))
+    distance = (TENDON_RADIUS + TENDON_TAPER * s)[:, None]
+    sides = [np.array([np.cos(angle), np.sin(angle)]) for angle in TENDON_ANGLES]
+    return tuple(
+        Tendon(
+            offset=jnp.asarray(distance * side),
+            offset_slope=jnp.asarray(np.tile(TENDON_TAPER * side, (CELLS, 1))),
+            share=jnp.asarray(share),
+            tension=tension,
+        )
+        for side, tension in zip(sides, tensions, strict=True)
+    )
+
+
+def arm_under(
+    parameters: ArmParameters,
+    tensions: Float[Array, "2"],
+    start: Float[Array, "cells 4"] | None = None,
+) -> ArmShape:
+    """Returns the shape of the arm under two tensions [N] and its weight.
+
+    `start` are the strains of a similar arm (default: the unloaded arm).
+    """
+    none = jnp.zeros(3)
+    loads = RodLoads(none, none, jnp.array([0.0, 0.0, -1.0]), tendons_of(tensions))
+    found = equilibrium(rod_of(parameters), loads, INCREMENTS if start is None else 1, start)
+    up = jnp.stack([jnp.zeros(()), jnp.zeros(()), jnp.asarray(parameters.base, float)])
+    return ArmShape(_markers(found) + up, found.strains, found.ok)
+
+
+def _markers(found: RodEquilibrium) -> Float[Array, "4 3"]:
+    ds = LENGTH / CELLS
+    places = []
+    for s, offset in zip(MARKER_S, MARKER_OFFSETS, strict=True):
+        cell = min(int(s / ds), CELLS - 1)
+        ahead = s - cell * ds
+        turn = found.strains[cell, :3] * ahead
+        chord = mean_rotation(turn)[:, 0] * ahead * (1.0 + found.strains[cell, 3])
+        within = chord + rotation(turn) @ jnp.array(offset)
+        places.append(found.shape.position[cell] + found.shape.frame[cell] @ within)
+    return jnp.stack(places)
+
+
+@eqx.filter_jit
+def arms_under(
+    parameters: ArmParameters,
+    tensions: Float[Array, "runs 2"],
+    start: Float[Array, "runs cells 4"] | None = None,
+) -> ArmShape:
+    """Returns the shapes under several pairs of tensions."""
+    if start is None:
+        return jax.vmap(lambda u: arm_under(parameters, u))(tensions)
+    return jax.vmap(lambda u, q: arm_under(parameters, u, q))(tensions, start)
