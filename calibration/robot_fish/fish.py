@@ -74,7 +74,7 @@ A panel method for a plate of the fish's outline gives 0.20 to 0.30, because the
 around the rear edge of the short fin.
 """
 SWAY_EXPONENT = 1.5
-"""Exponent of the beat in the head's sway mass. It is empirical; exponents of 1 to 2 are similar."""
+"""Exponent of the beat in the head's sway mass. It is empirical; 1 to 2 are similar."""
 DRAG_AREA = 0.017
 """Drag coefficient times frontal area [m^2], estimated from the robot's dimensions."""
 TENDON_STIFFNESS = 2e4

@@ -34,14 +34,16 @@ CALIBRATED_ON = ("f1_00", "f1_75")
 """The two runs of the data's folder that determine the free parameters."""
 WATER = ("C", "C_tail", "yaw_inertia", "sway_mass")
 """Parameters that are fitted to speed and recoil with the measured tail."""
-DRIVE = ("pull", "hinge")
-"""Parameters that are fitted to the tail's stroke and the speed, with the tendons."""
-START = Parameters(C=3.16, C_tail=-0.75, yaw_inertia=0.049, sway_mass=0.98, pull=0.82, hinge=0.24)
-"""Initial values of the fitted parameters, which are all parameters."""
+DRIVE = ("pull",)
+"""Parameter that is fitted to the speed, with the tendons."""
+START = Parameters(C=3.16, C_tail=-0.75, yaw_inertia=0.049, sway_mass=0.98, pull=0.82, hinge=0.35)
+"""Initial values of the fitted parameters, and the value of `hinge`, which was chosen by hand.
+
+With 0.24 N m/rad, tendons fit speed and stroke of the two runs best, but above 1.3 Hz the speed is
+then far below the straight line through both runs. 0.35 is a compromise.
+"""
 SPEED_ERROR, AMPLITUDE_ERROR, PHASE_ERROR = 0.02, 0.1, 1.0
 """Relative errors of speed and amplitudes and error [rad] of phases; weights of the fit."""
-STROKE_ERROR = 0.05
-"""Relative error of the tail's stroke; weight of the fit of the drive."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,7 @@ def calibrate_fish(
     simulator: FishSimulator,
     progress: Callable[[str], None] = lambda text: None,
 ) -> FishCalibration:
-    """Fits the free parameters to speed, recoil and stroke of two `runs`.
+    """Fits the free parameters to speed and recoil of two `runs`.
 
     Raises `InputError` for another number of runs, or for equal beats.
     """
@@ -184,11 +186,10 @@ def calibrate_fish(
         errors = []
         for _, f, m in pairs:
             found = simulator.with_tendons(f, x)
-            errors.append((abs(found.stroke / m.stroke) - 1.0) / STROKE_ERROR)
             errors.append((found.speed / m.speed - 1.0) / SPEED_ERROR)
         return np.array(errors)
 
-    progress("fitting the drive to stroke and speed of the two runs")
+    progress("fitting the motor's pull to the speed of the two runs")
     x = _fitted(x, DRIVE, drive, 0.05)
     speeds = np.array([m.speed for m in measured])
     slope, intercept = np.polyfit(beats, speeds, 1)

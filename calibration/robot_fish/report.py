@@ -169,7 +169,7 @@ def fish_page(runs: list[RunPrediction], fitted: FishCalibration, record: dict[s
             for name, error in errors["all"].items()
         ],
         parameters=[
-            [k, f"{float(v):.4g}", UNITS[k], "fitted" if k in record["fitted"] else "fixed"]
+            [k, f"{float(v):.4g}", UNITS[k], "fitted" if k in record["fitted"] else "chosen"]
             for k, v in vars(fitted.parameters).items()
         ],
         speed_png=embedded_png(_speed_figure(runs)),
