@@ -21,7 +21,7 @@ from slider_jax.io.files import provenance
 PREDICTORS = {
     "kinematic drive": lambda x: x.kinematic.speed,
     "beat frequency alone": lambda x: x.tendons.speed,
-    "before: without friction and yaw inertia": lambda x: x.before.speed,
+    "before: the stated mass and inertia of the head": lambda x: x.before.speed,
     "straight line through the two runs": lambda x: x.line,
     "proportional to the beat": lambda x: x.proportional,
 }
@@ -91,9 +91,10 @@ def fish_speeds_table(runs: list[RunPrediction]) -> str:
     return "\n".join(lines)
 
 
-UNITS = dict(
-    C="-", m_fin="-", area="m^2", friction="-", yaw_inertia="kg m^2", stiffness="N/m", pull="-"
-)
+UNITS = {
+    "C": "-", "C_tail": "-", "yaw_inertia": "kg m^2", "sway_mass": "kg", "pull": "-",
+    "hinge": "N m/rad",
+}  # fmt: skip
 """Units of the parameters."""
 
 
@@ -168,7 +169,7 @@ def fish_page(runs: list[RunPrediction], fitted: FishCalibration, record: dict[s
             for name, error in errors["all"].items()
         ],
         parameters=[
-            [k, f"{float(v):.4g}", UNITS[k], "fitted" if k in record["fitted"] else "fixed"]
+            [k, f"{float(v):.4g}", UNITS[k], "fitted" if k in record["fitted"] else "chosen"]
             for k, v in vars(fitted.parameters).items()
         ],
         speed_png=embedded_png(_speed_figure(runs)),

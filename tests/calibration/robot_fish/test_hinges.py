@@ -4,24 +4,17 @@ import numpy as np
 import pytest
 
 from calibration.robot_fish.fish import HINGES, MARKER_X
-from calibration.robot_fish.hinges import (
-    ARMS,
-    LOADED,
-    PULLED,
-    LoadRatio,
-    hinge_angles,
-    load_ratio_of,
-)
+from calibration.robot_fish.hinges import ARMS, LOADED, PULLED, hinge_angles
 from calibration.robot_fish.markers import MarkerRun
 
 BEAT, NOISE = 0.75, 0.5e-3
-RATIO = LoadRatio(-1.0 - 0.5j, 0.1 - 1.1j)
+RATIO = -0.9 - 1.1j
 
 
 def moving_tail(pulled=0.9 * np.exp(0.3j), off=1.0, seed=0):
     """Returns markers of a fish whose hinges bend in M_1 and M_2, and the true hinge angles."""
     t = np.arange(301) / 60.0
-    true = pulled * (PULLED + off * RATIO.at(BEAT) * LOADED)
+    true = pulled * (PULLED + off * RATIO * LOADED)
     angles = np.real(true * np.exp(2j * np.pi * BEAT * t)[:, None])
     # The fish looks along +x, so the tail points along -x, and left is +y.
     heading = np.cumsum(angles, axis=1)
@@ -55,22 +48,14 @@ def test_hinge_angles_of_a_known_tail():
     """Tolerance: 4 % with noise of 0.5 mm."""
     run, true = moving_tail()
     assert error(hinge_angles(run), true) < 0.04
-    assert error(hinge_angles(run, RATIO), true) < 0.04
 
 
 def test_lost_markers_hardly_change_the_hinge_angles():
-    """Tolerance: 5 % if markers 3 to 7 stay at places of their neighbours; 2 % without them."""
+    """Tolerance: 6 % if markers 5 and 6 stay at places of their neighbours."""
     run, true = moving_tail()
     markers = run.markers.copy()
     markers[40:140, 6] = markers[40:140, 4]
     markers[100:220, 5] = markers[100:220, 3]
     markers[:, 3] += 0.05
     lost = MarkerRun("a", BEAT, run.t, markers)
-    assert error(hinge_angles(lost, RATIO), true) < 0.05
-    assert error(hinge_angles(run, RATIO, markers=(8,)), true) < 0.02
-
-
-def test_ratio_of_two_runs_is_recovered():
-    angles = [PULLED + RATIO.at(f) * LOADED for f in (0.7, 1.3)]
-    found = load_ratio_of(angles, [0.7, 1.3])
-    assert found.at(1.0) == pytest.approx(RATIO.at(1.0))
+    assert error(hinge_angles(lost), true) < 0.06
