@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from slider_jax.beam.parameters import G
 from slider_jax.rod.equilibrium import RodEquilibrium, equilibrium
-from slider_jax.rod.loads import RodLoads, Tendon
+from slider_jax.rod.loads import RodLoads, RodTendon
 from slider_jax.rod.rod import Rod
 from slider_jax.rod.rotations import mean_rotation, rotation
 
@@ -78,7 +78,7 @@ def rod_of(parameters: ArmParameters) -> Rod:
     )
 
 
-def tendons_of(tensions: Float[Array, "2"]) -> tuple[Tendon, ...]:
+def arm_tendons(tensions: Float[Array, "2"]) -> tuple[RodTendon, ...]:
     """Returns both tendons with the given tensions [N]."""
     ds = LENGTH / CELLS
     near = np.arange(CELLS) * ds
@@ -88,7 +88,7 @@ def tendons_of(tensions: Float[Array, "2"]) -> tuple[Tendon, ...]:
     distance = (TENDON_RADIUS + TENDON_TAPER * s)[:, None]
     sides = [np.array([np.cos(angle), np.sin(angle)]) for angle in TENDON_ANGLES]
     return tuple(
-        Tendon(
+        RodTendon(
             offset=jnp.asarray(distance * side),
             offset_slope=jnp.asarray(np.tile(TENDON_TAPER * side, (CELLS, 1))),
             share=jnp.asarray(share),
@@ -108,7 +108,7 @@ def arm_under(
     `start` are the strains of a similar arm (default: the unloaded arm).
     """
     none = jnp.zeros(3)
-    loads = RodLoads(none, none, jnp.array([0.0, 0.0, -1.0]), tendons_of(tensions))
+    loads = RodLoads(none, none, jnp.array([0.0, 0.0, -1.0]), arm_tendons(tensions))
     found = equilibrium(rod_of(parameters), loads, INCREMENTS if start is None else 1, start)
     up = jnp.stack([jnp.zeros(()), jnp.zeros(()), jnp.asarray(parameters.base, float)])
     return ArmShape(_markers(found) + up, found.strains, found.ok)

@@ -33,10 +33,12 @@ def read_arm_runs(path: Path) -> ArmRuns:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save as UTF-8") from None
-    rows = list(csv.DictReader(io.StringIO(text)))
+    reader = csv.DictReader(io.StringIO(text))
+    rows = list(reader)
     if not rows:
         raise InputError(f"{path}: no row; give a header and a row for each run")
-    missing = [name for name in ("name", *TENSIONS, *MARKERS) if rows[0].get(name) is None]
+    header = reader.fieldnames or ()
+    missing = [name for name in ("name", *TENSIONS, *MARKERS) if name not in header]
     if missing:
         raise InputError(f"{path}: no column {missing[0]}; add this column")
     values = np.array([_numbers(row, f"{path}, line {k}") for k, row in enumerate(rows, start=2)])

@@ -14,6 +14,7 @@ from slider_jax.channels import SLIDER_CHANNELS, TIME
 from slider_jax.experiment.schema import ExperimentTable
 from slider_jax.io.toml import quantity_of, tables_in
 from slider_jax.io.units import Quantity
+from slider_jax.statics.tables import StaticCaseTable
 
 PAGE = "reference/file_formats.md"
 KEYS = Path(__file__).with_name("file_keys.toml")
@@ -27,6 +28,11 @@ FILES: dict[str, tuple[type[BaseModel], str]] = {
         StaticsTable,
         "A bench file describes bench measurements in air, for `slider calibrate statics`. "
         "[bench.toml](../bench.toml) is a complete example.",
+    ),
+    "Rod file": (
+        StaticCaseTable,
+        "A rod file describes a rod and its static loads in space, for `slider statics`. "
+        "`examples/strip/rod.toml` is a complete example.",
     ),
     "Rig file": (
         RigTable,

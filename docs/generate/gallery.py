@@ -74,6 +74,13 @@ ENTRIES = {
         "which the robot is towed.",
         "results/example/towed.png",
     ),
+    "statics": Entry(
+        "statics examples/strip/rod.toml --out results/strip",
+        "The picture shows a strip under water, without and with its loads: weight, a helical air "
+        "chamber and a tendon.",
+        "results/strip/shape.png",
+        needs="examples",
+    ),
     "sweep": Entry(
         "sweep docs/experiment.toml --field robot.EI_tail --from 0.002 --to 0.02 --count 8 "
         "--strides 5 --steps-per-stride 100 --out results/tail",
@@ -298,6 +305,7 @@ INPUTS: dict[str, Callable[[Path], None]] = {
     "bench": make_bench,
     "logs": lambda work: _link(work, "logs", _data("manifold")),
     "midlines": lambda work: _link(work, "midlines", _data("lamprey")),
+    "examples": lambda work: _link(work, "examples", ROOT / "examples"),
 }
 
 

@@ -44,7 +44,7 @@ COMMANDS = {
         "slider_jax.cli.swim:climb", "simulates a robot that climbs a wall in air", effects=True
     ),
     "statics": Subcommand(
-        "slider_jax.cli.statics:statics",
+        "slider_jax.cli.statics:rod_statics",
         "computes the shape of a rod at rest under loads, in three dimensions",
     ),
     "optimize swim": Subcommand(

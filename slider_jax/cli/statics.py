@@ -9,7 +9,7 @@ import tyro
 from slider_jax.cli.options import Folder
 
 
-def statics(
+def rod_statics(
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROD.toml")], out: Folder
 ) -> None:
     """Computes the shape of a rod at rest under loads, and whether this shape is stable.
@@ -36,7 +36,7 @@ def statics(
         write_statics(case, found, eigenvalue, stage)
     tip = ", ".join(f"{x:.6g}" for x in found.shape.position[-1].tolist())
     moment = ", ".join(f"{x:.6g}" for x in found.moment.tolist())
-    print(f"tip at ({tip}) m; moment on the clamp ({moment}) N m", file=sys.stderr)
+    print(f"tip at ({tip}) m; moment on the clamp ({moment}) N m")
     state = "stable" if eigenvalue > 0.0 else "unstable"
-    print(f"{state}: smallest eigenvalue {eigenvalue:.4g} (1 without loads)", file=sys.stderr)
+    print(f"{state}: smallest eigenvalue {eigenvalue:.4g} (1 without loads)")
     print(f"statics.json, shape.csv and shape.png are in {out}", file=sys.stderr)

@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float
 
 from slider_jax.errors import SolverError
 from slider_jax.rod.loads import RodLoads
-from slider_jax.rod.rod import Rod, RodShape, shape_of
+from slider_jax.rod.rod import Rod, RodShape, rod_shape
 from slider_jax.rod.rotations import cross_matrix
 
 TOLERANCE = 1e-10
@@ -54,7 +54,7 @@ def virtual_work(
     """Returns the residual of the equations as an error of each strain."""
 
     def energy_and_tip(q):
-        shape = shape_of(rod, q)
+        shape = rod_shape(rod, q)
         elastic = 0.5 * jnp.sum(rod.elasticity * (q - rod.unloaded) ** 2 * rod.ds[:, None])
         energy = elastic + loads.potential(rod, q, shape)
         return energy, shape.position[-1], shape.frame[-1]
@@ -69,7 +69,7 @@ def virtual_work(
 
 def _unloaded_tip(rod: Rod, loads: RodLoads) -> Float[Array, "3 3"]:
     """Returns the frame of the tip of the unloaded rod; it matters for follower loads only."""
-    return shape_of(rod, rod.unloaded).frame[-1] if loads.follower else rod.clamp
+    return rod_shape(rod, rod.unloaded).frame[-1] if loads.follower else rod.clamp
 
 
 def _share_of(loads: RodLoads, rod: Rod, share) -> tuple[RodLoads, Rod]:
@@ -106,7 +106,7 @@ def equilibrium(
     shares = jnp.arange(1, increments + 1) / increments
     begin = rod.unloaded if start is None else start
     strains, converged = jax.lax.scan(solve, begin, shares)
-    shape = shape_of(rod, strains)
+    shape = rod_shape(rod, strains)
     force, moment = loads.on_tip(shape.frame[-1], _unloaded_tip(rod, loads))
     middle = 0.5 * (shape.position[1:] + shape.position[:-1])
     weights = (rod.weight * rod.ds)[:, None] * loads.down

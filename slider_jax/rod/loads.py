@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from slider_jax.rod.rod import Rod, RodShape, stretch_of
 
 
-class Tendon(eqx.Module):
+class RodTendon(eqx.Module):
     """A tendon that slides without friction along a line beside the axis of the rod.
 
     A pressure chamber is a tendon that pushes: its tension is -p A, with the pressure p and the
@@ -46,7 +46,7 @@ class RodLoads(eqx.Module):
     """Moment [N m] on the tip; otherwise like `force`."""
     down: Float[Array, "3"]
     """Unit vector in the direction of the weight."""
-    tendons: tuple[Tendon, ...] = ()
+    tendons: tuple[RodTendon, ...] = ()
     follower: bool = eqx.field(static=True, default=False)
 
     def on_tip(

@@ -67,7 +67,7 @@ def stretch_of(strains: Float[Array, "cells q"]) -> Float[Array, " cells"]:
     return 1.0 + strains[:, 3]
 
 
-def shape_of(rod: Rod, strains: Float[Array, "cells q"]) -> RodShape:
+def rod_shape(rod: Rod, strains: Float[Array, "cells q"]) -> RodShape:
     """Returns the shape of a rod with constant strains in each cell; exact for such strains."""
     turn = strains[:, :3] * rod.ds[:, None]
     chord = jax.vmap(mean_rotation)(turn)[:, :, 0] * (stretch_of(strains) * rod.ds)[:, None]

@@ -9,7 +9,7 @@ import numpy as np
 from slider_jax.errors import InputError
 from slider_jax.io.csv import read_csv
 from slider_jax.io.toml import quantity_of, read_toml, validate
-from slider_jax.rod.loads import RodLoads, Tendon
+from slider_jax.rod.loads import RodLoads, RodTendon
 from slider_jax.rod.rod import Rod
 from slider_jax.statics.tables import (
     CURVATURE_COLUMNS,
@@ -158,11 +158,11 @@ def _covered(span, edges) -> np.ndarray:
     return np.clip(inside, 0.0, None) / np.diff(edges)
 
 
-def _tendon(x: RodTendonTable, edges) -> Tendon:
+def _tendon(x: RodTendonTable, edges) -> RodTendon:
     start, end = np.array(x.start), np.array(x.end)
     slope = (end - start) / (x.span[1] - x.span[0])
     at = _middle_in(x.span, edges) - x.span[0]
-    return Tendon(
+    return RodTendon(
         offset=jnp.asarray(start + at[:, None] * slope),
         offset_slope=jnp.tile(jnp.asarray(slope), (len(at), 1)),
         share=jnp.asarray(_covered(x.span, edges)),
@@ -170,13 +170,13 @@ def _tendon(x: RodTendonTable, edges) -> Tendon:
     )
 
 
-def _chamber(x: RodChamberTable, edges) -> Tendon:
+def _chamber(x: RodChamberTable, edges) -> RodTendon:
     """Returns the tendon that pushes with the force of the chamber's pressure."""
     rate = (x.angles[1] - x.angles[0]) / (x.span[1] - x.span[0])
     angle = x.angles[0] + rate * (_middle_in(x.span, edges) - x.span[0])
     place = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     ahead = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    return Tendon(
+    return RodTendon(
         offset=jnp.asarray(x.distance * place),
         offset_slope=jnp.asarray(rate * x.distance * ahead),
         share=jnp.asarray(_covered(x.span, edges)),

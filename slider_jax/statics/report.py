@@ -8,7 +8,7 @@ import numpy as np
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import input_files, provenance, write_csv, write_json
 from slider_jax.rod.equilibrium import RodEquilibrium
-from slider_jax.rod.rod import shape_of
+from slider_jax.rod.rod import rod_shape
 from slider_jax.statics.case import StaticCase
 
 
@@ -34,7 +34,7 @@ def write_statics(case: StaticCase, found: RodEquilibrium, eigenvalue: float, fo
     position = np.asarray(found.shape.position)
     columns = dict(zip(("s_m", "x_m", "y_m", "z_m"), (s, *position.T), strict=True))
     write_csv(folder / "shape.csv", columns, {})
-    unloaded = np.asarray(shape_of(case.rod, case.rod.unloaded).position)
+    unloaded = np.asarray(rod_shape(case.rod, case.rod.unloaded).position)
     _draw(case.table.name, unloaded, position, folder / "shape.png")
 
 
