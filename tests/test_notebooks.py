@@ -82,6 +82,7 @@ LONG = (
     "notebook",
     [pytest.param(n, marks=[pytest.mark.slow] * (n.stem in LONG), id=n.stem) for n in NOTEBOOKS],
 )
+@pytest.mark.slow
 def test_notebook_runs_and_draws(notebook, monkeypatch, tmp_path):
     drawn = []
 

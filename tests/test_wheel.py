@@ -83,6 +83,7 @@ def test_the_wheel_holds_the_packages_and_their_data_and_nothing_else(wheel):
     assert expected <= set(names)
 
 
+@pytest.mark.slow
 def test_the_demo_runs_from_the_wheel(python, tmp_path):
     home = run(tmp_path, python, "-c", "import slider_jax; print(slider_jax.__file__)").strip()
     assert Path(home).is_relative_to(python.parent.parent)

@@ -89,6 +89,7 @@ def test_the_unit_and_the_sign_of_each_chamber_are_repaired(count):
     [(2, [1, 0]), (3, [1, 2, 0]), (3, [2, 1, 0]), (6, [5, 1, 2, 3, 4, 0]), (6, [2, 0, 1, 3, 4, 5])],
 )
 @pytest.mark.parametrize("number", [4, 6])
+@pytest.mark.slow
 def test_the_order_of_the_pressure_columns_is_restored(count, order, number):
     """Trial 4 has different phases. The phases of trial 6 are 0, so its amplitudes are used."""
     given, columns = records(count), np.arange(count + 3)

@@ -266,6 +266,7 @@ def write_bench(folder, exact):
     return folder / "bench.toml"
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_identified_parameters(exact, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(statics.fit_shapes, "__defaults__", (MESH,))
     path, out = write_bench(tmp_path, exact), tmp_path / "out"

@@ -80,6 +80,7 @@ def test_correct_noise_is_used_as_declared(tmp_path):
 
 
 @pytest.mark.parametrize("declared", [0.75, pytest.param(2.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_wrong_declared_noise_does_not_change_the_verdict(tmp_path, declared):
     found = outcome(tmp_path, declared=declared)
     assert found.verdict == "nothing_missing"
@@ -90,6 +91,7 @@ def test_a_wrong_declared_noise_does_not_change_the_verdict(tmp_path, declared):
 
 
 @pytest.mark.parametrize("declared", [0.75, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_heavy_tailed_noise_does_not_change_the_verdict(tmp_path, declared):
     found = outcome(tmp_path, heavy, declared)
     assert found.verdict == "nothing_missing"

@@ -73,6 +73,7 @@ def following(trial_file):
     return {"purpose": "repeat", "said": "once more", "trial": {"file": trial_file}, "toml": table}
 
 
+@pytest.mark.slow
 def test_a_campaign_measures_until_the_verdict_is_final(tmp_path, monkeypatch):
     path, capture, captured = tank(tmp_path, {}, 5)
     files = iter(["x.csv", "y.csv", "z.csv"])

@@ -123,6 +123,7 @@ def test_nine_of_ten_effects_are_detected_at_the_limit(still, entries):
     assert passed / 600 == pytest.approx(0.9, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_nameable_effect_changes_a_channel_by_its_discrepancy(still, entries):
     """The reference is least squares on the stacked rows."""
     f, i = still.information, effect_entries(entries)["carried_mass"][0]
@@ -223,6 +224,7 @@ def test_a_towed_trial_discriminates_mass_from_axial_added_mass(still, towed):
     assert pair["sigmas_after"] > 1.5 * without["sigmas_after"]
 
 
+@pytest.mark.slow
 def test_the_proposed_trial_has_the_predicted_information(still, towed, tmp_path):
     path = write_small_experiment(tmp_path, *STILL)
     path.write_text(f"{path.read_text()}\n{towed['toml']}")

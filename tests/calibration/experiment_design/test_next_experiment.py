@@ -90,6 +90,7 @@ def outcome(tank, verdict, final, rounds=(), after=None):
 
 
 @pytest.mark.parametrize("verdict", ["unexplained", "inconclusive", "partly_explained"])
+@pytest.mark.slow
 def test_the_trial_with_the_largest_residual_is_repeated(tank, verdict):
     after = {
         "thrust": Excess(np.array([2.0, np.nan]), 2.5),
@@ -113,6 +114,7 @@ def class_outcome(tank, alternative):
     return outcome(tank, "class", final, [step])
 
 
+@pytest.mark.slow
 def test_the_next_trial_makes_a_class_smaller(tank):
     theta = tank[2].copy()
     theta[FLUID] = 0.12
@@ -146,6 +148,7 @@ def test_a_trial_that_leaves_a_part_of_a_class_names_this_part(tank):
     assert record["said"].endswith(rest)
 
 
+@pytest.mark.slow
 def test_a_class_that_no_trial_makes_smaller_is_reported(tank):
     theta = tank[2].copy()
     theta[MASS] = 0.1  # the alternative has the same readings

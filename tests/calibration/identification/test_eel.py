@@ -80,6 +80,7 @@ def test_a_changed_experiment_keeps_the_drive_of_each_chamber():
     np.testing.assert_allclose([x.phase for x in waves], [0.0, 0.2, 0.4])
 
 
+@pytest.mark.slow
 def test_the_audit_finds_a_swap_of_two_of_three_pressures(tank, tmp_path):
     experiment, true = tank
     for file in experiment.folder.iterdir():

@@ -118,6 +118,7 @@ PRESSURE = Noise(white=750.0, gain=0.002, discrepancy=0.002)
         (EVEN, LOUD, 0.3, 2.2),
     ],
 )
+@pytest.mark.slow
 def test_a_long_series_is_whitened_as_by_the_dense_covariance(t, noise, amplitude, frequency):
     """The tolerances were chosen before the comparison: 2 % of the variance, 5 % of information."""
     f = frequency or 1.0

@@ -28,6 +28,7 @@ def test_the_first_sample_may_be_between_steps(begin):
     np.testing.assert_allclose(front, AMPLITUDE * (1.0 - np.exp(-at / K)), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_each_part_of_the_model_has_only_its_own_effects():
     """The parts together give the readings of a simulation with all effects at once."""
     given = experiment.load(ROOT / "docs" / "experiment.toml")

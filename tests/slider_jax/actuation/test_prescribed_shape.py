@@ -110,6 +110,7 @@ def test_static_state_has_the_prescribed_curvature_in_the_span():
     assert kappa == pytest.approx(wanted, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_recorded_curvature_of_a_pneumatic_beam_gives_its_clamp_forces():
     """Thrust and recoil to 0.5 % of their rms (tolerance declared before the test was run)."""
     beam = swimmer(frequency=2.0, k=0.087)
@@ -143,6 +144,7 @@ def test_recorded_midline_gives_its_curvature():
         assert shape.far == pytest.approx(0.5, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_midline_and_curvature_agree_for_a_simulated_body():
     """The nodes of the body give back the curvature of the inner cells to 1 % of the largest."""
     model = with_actuators(towed(), wave(scale=3.0))
@@ -183,6 +185,7 @@ def lateral_motion(actuator, turns, points=4000):
     return np.asarray(rates[:, 1]), np.asarray(both[:, 0])
 
 
+@pytest.mark.slow
 def test_mean_thrust_of_a_small_wave_is_that_of_lighthill():
     """1 % (declared before): T = m_A/2 (<h_t^2> - U^2 <h_x^2>) at the tail.
 

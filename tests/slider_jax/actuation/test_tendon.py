@@ -80,6 +80,7 @@ def test_offset_that_changes_along_the_tendon():
     assert float(found.shape[1, 0]) == pytest.approx(y, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_length_driven_tendon_shares_the_length_with_the_body():
     """P (1 + k L (1/EA + e^2/EI)) = k pull, to 0.1 %, for two tendons on one side and one apart."""
     k, e, pull = 2e4, 0.01, 4e-3
@@ -99,6 +100,7 @@ def test_length_driven_tendon_shares_the_length_with_the_body():
     assert kappa == pytest.approx((P[0] - P[1]) * e / EI, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_slack_tendon_carries_nothing_and_a_rod_pushes():
     tendon = LengthTendon(*SPAN, 0.01, constant(-1e-3), 2e4)
     _, kappa, _ = at_rest(rod(tendon))
@@ -211,6 +213,7 @@ def test_derivatives_agree_with_finite_differences():
     assert float(reverse) == pytest.approx(float(forward), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_held_tendon_stays_in_its_static_shape():
     model = rod(LengthTendon(0.02, 0.3, 0.01, constant(2e-3), 3e4), damping_time=2e-3)
     static, kappa, _ = at_rest(model, SMALL)

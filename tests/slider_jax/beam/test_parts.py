@@ -68,6 +68,7 @@ def test_at_a_jump_a_node_has_the_mean_of_both_values():
 
 @pytest.mark.parametrize("cells", [33, 66])
 @pytest.mark.parametrize("a", [0.111, 0.2, 0.2873])
+@pytest.mark.slow
 def test_a_rod_of_two_stiffnesses_bends_as_beam_theory_says(a, cells):
     """The tip's displacement under F is F/3 ((L^3 - (L - a)^3)/EI_1 + (L - a)^3/EI_2)."""
     first, second = 0.08, 0.02

@@ -47,6 +47,7 @@ def up():
     return climbed(wall())
 
 
+@pytest.mark.slow
 def test_it_climbs_on_pins_that_hold(up):
     found, series, ok = up
     print(f"U {1e3 * found.speed:.1f} mm/s, slip {found.slip:.1e} m/s")

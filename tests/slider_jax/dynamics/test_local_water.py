@@ -68,6 +68,7 @@ TOWED = Clamped(tow_speed=0.1, heave=0.01, frequency=4.8)
 
 
 @pytest.mark.parametrize("support", [Free(), pytest.param(TOWED, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_uniform_water_as_function_or_grid_is_uniform_water(support):
     """With a current as an effect in addition. Tolerance 1e-8 of the largest value."""
     U, x = jnp.array([-0.35, 0.08]), np.linspace(-2.0, 2.0, 5)
@@ -322,6 +323,7 @@ def test_the_reactive_force_is_that_of_the_recorded_motion(swum):
 
 
 @pytest.mark.parametrize("support", [Clamped(pitch=0.2, frequency=1.0), Free()])
+@pytest.mark.slow
 def test_positions_keep_the_scheme_second_order(support):
     """Order of midline and motion at 0.32 s: at least 1.8."""
     drive = dict(frequency=2.0, amplitude=150e3, wave=SineWave, damping_time=0.002)

@@ -90,6 +90,7 @@ def test_the_regulator_controls_the_reading_of_the_converter():
         pytest.param(RegulatorIntegral(90.0), marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_derivatives_reach_the_parameters_through_the_states(effect):
     leaves, structure = jax.tree.flatten(effect)
 

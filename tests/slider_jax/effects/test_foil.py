@@ -50,6 +50,7 @@ def errors(example):
     return found
 
 
+@pytest.mark.slow
 def test_forces_in_time_are_those_of_linear_theory(errors):
     """1 % of the rms (declared before) at heave/length 0.03 and pitch 0.05 rad."""
     assert np.all(errors[1.0] < 0.01)

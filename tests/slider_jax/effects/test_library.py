@@ -159,6 +159,7 @@ def test_tangents_at_the_start_are_the_finite_differences(name):
         assert (off <= allowed).all(), (ENTRIES[i], off, allowed)
 
 
+@pytest.mark.slow
 def test_tangent_at_the_null_changes_only_the_declared_sensors(entry):
     """Per prior range, the tangent is finite and exceeds 1e-6 of a declared sensor's reading."""
     tangent = value_and_tangent(entry)[1]
@@ -170,6 +171,7 @@ def test_tangent_at_the_null_changes_only_the_declared_sensors(entry):
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=[".".join(ENTRIES[i]) for i in SHAPES])
+@pytest.mark.slow
 def test_a_shape_parameter_acts_only_while_its_effect_does(shape):
     """At half of an effect's range, its tangent is the difference; at the null, it vanishes."""
     assert not value_and_tangent(shape)[1].any()

@@ -118,6 +118,7 @@ def test_a_wrong_clock_does_not_hide_the_start_of_a_delayed_wave():
 
 
 @pytest.mark.parametrize("effect", FLOWS, ids=lambda e: e.name())
+@pytest.mark.slow
 def test_flow_converges_for_steps_that_the_loop_takes(effect):
     """The loop takes 114 steps a stride, 4 ms; the reference steps are a sixteenth of that.
 

@@ -39,6 +39,7 @@ OPEN = (MAX_DUTY - 0.05) / 0.95
     ],
     ids=lambda x: x.name() if hasattr(x, "name") else "",
 )
+@pytest.mark.slow
 def test_converges_for_steps_that_the_loop_takes(effect, allowed):
     """The loop takes 114 steps a stride, 4 ms; the reference, a sixteenth. 1e-3 is 250 Pa."""
     coarse, fine = square([effect], strides(114)).p, square([effect], strides(16 * 114)).p

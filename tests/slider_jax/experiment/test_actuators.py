@@ -56,6 +56,7 @@ def test_two_actuators_are_the_front_and_the_rear_chamber(tmp_path):
         np.testing.assert_array_equal(new[name], values, err_msg=name)
 
 
+@pytest.mark.slow
 def test_two_halves_of_a_chamber_are_the_whole_chamber(tmp_path):
     whole = series_of(with_actuators(tmp_path, chamber("whole", 0.02, 0.28)))
     halves = chamber("first", 0.02, 0.137) + chamber("second", 0.137, 0.28)
@@ -196,6 +197,7 @@ def test_a_robot_without_chambers_is_passive(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_the_size_of_the_program_does_not_depend_on_the_number_of_chambers(tmp_path):
     sizes = []
     for count in (1, 2, 3, 6):
@@ -380,6 +382,7 @@ def test_an_elastic_tendon_has_its_length_and_stiffness(tmp_path):
     np.testing.assert_allclose(found.offset_at(np.array([0.05, 0.175, 0.3])), [0.01, 0.005, 0.0])
 
 
+@pytest.mark.slow
 def test_a_prescribed_wave_bends_the_body(tmp_path):
     table = '[[sensors.channels]]\nkind = "curvature"\nname = "k"\ns = 0.15\ncolumns = ["k"]\n'
     bend = ("[numerics]", f"{table}[numerics]")

@@ -58,6 +58,7 @@ def test_a_marker_between_nodes_is_on_the_smooth_midline(tmp_path):
         np.testing.assert_allclose(run.series[f"m_{name}"][1:], spline[1:, axis], atol=5e-6)
 
 
+@pytest.mark.slow
 def test_angle_rate_curvature_and_moment_agree_with_the_motion(tmp_path):
     tables = "".join(
         channel(kind, [f"{kind}_{i}"], name=f"{kind}_{i}", s=s)

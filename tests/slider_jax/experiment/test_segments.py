@@ -76,6 +76,7 @@ def test_a_rigid_segment_has_a_large_stiffness(tmp_path):
     np.testing.assert_allclose(body.lengths, [0.05, 0.25])
 
 
+@pytest.mark.slow
 def test_a_robot_bends_behind_its_rigid_segment_as_if_it_were_clamped_there(tmp_path):
     """The tip's displacement is F l^3/(3 EI), with the length l of the flexible part."""
     stiff = "[[robot.segments]]\nlength = 0.1\nrigid = true\n"

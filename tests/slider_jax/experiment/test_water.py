@@ -40,6 +40,7 @@ def test_every_number_of_a_street_reaches_the_model(tmp_path):
     np.testing.assert_allclose(own, -0.3 + karman_speed(0.25, 0.04), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_uniform_field_of_a_file_acts_like_the_stream(tmp_path):
     write_field(tmp_path)
     in_field = simulate_trial(load(experiment(tmp_path, GRID)), 0).columns
@@ -48,6 +49,7 @@ def test_a_uniform_field_of_a_file_acts_like_the_stream(tmp_path):
         np.testing.assert_allclose(in_field[name], x, atol=1e-8 * np.abs(x).max())
 
 
+@pytest.mark.slow
 def test_a_swimmer_is_carried_by_the_stream_and_disturbed_by_the_street(tmp_path):
     """Without a drive. Tolerance 0.01 m/s; the wake on the axis is more than 0.1 m/s slower."""
     idle = ("amplitude = 150000.0", "amplitude = 0.0")
@@ -117,6 +119,7 @@ def test_a_field_must_exist_and_cover_the_trial_and_the_path_of_the_robot(tmp_pa
         to_model(load(path), 1)
 
 
+@pytest.mark.slow
 def test_a_robot_that_leaves_the_grid_stops_the_simulation(tmp_path):
     write_field(tmp_path, y=(-0.001, 0.001))
     free = ("tow_speed = 0.0", 'support = "free"')

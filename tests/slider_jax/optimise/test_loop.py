@@ -39,6 +39,7 @@ def sought(name, generations, folder=None, seed=3, on_generation=lambda g, s: No
 
 
 @pytest.mark.parametrize("name", OPTIMISERS)
+@pytest.mark.slow
 def test_the_global_maximum_is_found(name):
     found = sought(name, 60)
     assert np.all((found.population >= 0.0) & (found.population <= 1.0))

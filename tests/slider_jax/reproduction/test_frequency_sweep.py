@@ -37,6 +37,7 @@ def sweep():
 
 
 @pytest.mark.parametrize("index", [0, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_each_frequency_equals_a_single_rollout(sweep, index):
     f = TINY.frequencies[index]
     h = 1.0 / (f * TINY.steps_per_stride)

@@ -44,6 +44,7 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("optimum", "5 Hz
 
 
 @pytest.mark.parametrize("name", ["slow", *SLOW])
+@pytest.mark.slow
 def test_the_root_is_where_a_long_swim_from_rest_ends(name):
     model, f = made(GAITS[name]), jnp.asarray(GAITS[name].frequency)
     found, long = search(model, f), swim(model, f)

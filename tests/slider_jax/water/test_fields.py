@@ -62,6 +62,7 @@ def test_a_street_with_cores_conserves_volume_and_is_smooth_everywhere():
     np.testing.assert_allclose(found[:, 0, 0], -found[:, 1, 1], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_grid_repeats_linear_fields_and_converges_with_third_order():
     x, y, t = np.linspace(-0.5, 0.1, 7), np.linspace(-0.2, 0.4, 5), np.linspace(0.0, 2.0, 4)
     T, Y, X = np.meshgrid(t, y, x, indexing="ij")
@@ -82,6 +83,7 @@ def test_a_grid_repeats_linear_fields_and_converges_with_third_order():
     np.testing.assert_allclose(at(field, PLACES, 3.13), at(field, PLACES, 0.13), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_grid_with_one_time_is_steady_and_there_is_no_water_outside_the_grid():
     x, y = np.linspace(-1.0, 1.0, 5), np.linspace(-1.0, 1.0, 4)
     U = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 1, 4, 5))
@@ -95,6 +97,7 @@ def test_a_grid_with_one_time_is_steady_and_there_is_no_water_outside_the_grid()
     assert np.isfinite(at(unsteady, PLACES[:1], 1.0)).all()
 
 
+@pytest.mark.slow
 def test_the_slopes_of_a_grid_are_continuous():
     x = np.linspace(-1.0, 1.0, 9)
     U = np.random.default_rng(1).uniform(-1.0, 1.0, (2, 9, 9, 9))
