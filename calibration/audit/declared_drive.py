@@ -226,7 +226,12 @@ def _wrong_amplitude(
     ]
     if len(fit) < 5:
         return {}
-    size = np.array([np.log(gain[j]).mean() for j in fit])
+    # Gains of different chambers may differ, and a trial need not drive all chambers.
+    each = np.full((len(fit), len(responses.chambers)), np.nan)
+    for row, j in zip(each, fit, strict=True):
+        row[own[j]] = np.log(gain[j])
+    driven = np.isfinite(each).any(axis=0)
+    size = np.nanmean(each[:, driven] - np.nanmedian(each[:, driven], axis=0), axis=1)
     trials = [records[j].trial for j in fit]
     x = np.log([[t.frequency or 1.0, t.amplitude or 1.0] for t in trials])
     deviations = leave_one_out(size, x - x.mean(axis=0), np.full(2, 0.3), 0.01)
@@ -235,7 +240,7 @@ def _wrong_amplitude(
         alike = np.ptp(np.log(gain[j])) < 0.5 * abs(off)
         if abs(off) > max(WRONG_AMPLITUDE, 8.0 * error) and alike:
             r = records[j]
-            which = {1: "the pressure", 2: "both pressures"}.get(len(own[j]), "all pressures")
+            which = "the pressure" if len(own[j]) == 1 else "the pressures"
             detail = (
                 f"the ratio of {which} to the declared amplitude, {r.trial.amplitude:g} Pa, "
                 f"is {np.exp(off):.2f} times the ratio in the other trials"

@@ -44,8 +44,6 @@ then far below the straight line through both runs. 0.35 is a compromise.
 """
 SPEED_ERROR, AMPLITUDE_ERROR, PHASE_ERROR = 0.02, 0.1, 1.0
 """Relative errors of speed and amplitudes and error [rad] of phases; weights of the fit."""
-DRIVE_ERROR = 0.01
-"""Error of the speed [m/s] from the beat alone; the fit of the pull minimises absolute errors."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +184,7 @@ def calibrate_fish(
     def drive(x):
         progress(f"  {', '.join(f'{name} {getattr(x, name):.4g}' for name in DRIVE)}")
         found = [simulator.with_tendons(f, x).speed - m.speed for _, f, m in pairs]
-        return np.array(found) / DRIVE_ERROR
+        return np.array(found)
 
     progress("fitting the motor's pull to the speed of the two runs")
     x = _fitted(x, DRIVE, drive, 0.05)

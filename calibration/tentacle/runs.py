@@ -45,7 +45,7 @@ def read_arm_runs(path: Path) -> ArmRuns:
     names = [row["name"] for row in rows]
     repeated = [name for name in names if names.count(name) > 1]
     if repeated:
-        raise InputError(f"{path}: the run {repeated[0]} stands in two rows; give it once")
+        raise InputError(f"{path}: the run {repeated[0]} has two rows; remove one")
     return ArmRuns(tuple(names), values[:, :2], values[:, 2:].reshape(-1, 4, 3))
 
 

@@ -103,7 +103,8 @@ def _lines(result, channels, seconds: float) -> list[str]:
     if speed is None:
         motion = (
             f"thrust {1e3 * result['mean_thrust_N']:8.2f} mN  "
-            f"recoil {1e3 * result['recoil_rms_N']:7.1f} mN rms"
+            f"recoil {1e3 * result['recoil_rms_N']:7.1f} mN rms  "
+            f"tip +-{1e3 * result['tip_half_range_m']:6.2f} mm"
         )
     else:
         course = result["course_rad"]
@@ -111,7 +112,7 @@ def _lines(result, channels, seconds: float) -> list[str]:
         motion += "" if course is None else f"  course {degrees(course):6.1f} deg"
     lines = [
         f"{f'{frequency:4.1f} Hz' if frequency else 'recorded'}  {motion}  "
-        f"tip +-{1e3 * result['tip_half_range_m']:6.2f} mm  ({result['averaged']}; "
+        f"({result['averaged']}; "
         f"step {1e3 * result['step_s']:.3f} ms; {seconds:.1f} s)"
     ]
     if off := result["rmse_to_measured"]:

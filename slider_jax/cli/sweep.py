@@ -79,6 +79,10 @@ def sweep(
     given = load(experiment, model)
     if swim:
         strides, transient = 1, 0
+    elif trial < len(given.trials) and given.trials[trial].support == "free":
+        raise InputError(
+            f"trial {trial} is free, and a sweep reports the forces on a clamp; add --swim"
+        )
     task = Sweep(given, tuple(axes), trial, strides, transient, steps_per_stride, swim)
     output_folder(out)
     if is_written(task, out):

@@ -183,7 +183,7 @@ def check_actuators(actuators: Mapping[str, ActuatorTable], body: float, length:
             fail(name, repr(x.name), "a name that no other actuator has")
         other = next((y for y in before if _overlap(x, y)), None)
         if other is not None:
-            allowed = f"a span outside of {list(other.span)}, the span of {other.name}"
+            allowed = f"a span outside of {list(other.span)} m, the span of {other.name}"
             fail(here, list(x.span), allowed)
         if isinstance(x, ChamberTable):
             if last is not None and near < last.span[0]:

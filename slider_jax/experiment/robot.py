@@ -17,16 +17,13 @@ from slider_jax.experiment.schema import (
     SegmentedRobotTable,
     SegmentTable,
 )
-from slider_jax.io.csv import read_csv
-from slider_jax.io.toml import quantity_of
+from slider_jax.io.csv import POSITION, read_profile
+from slider_jax.io.toml import quantity_in
 
 RIGID_FACTOR = 1e4
 """EI and EA of a rigid segment, divided by the largest EI and EA of the flexible segments."""
 RIGID = {"EI": 100.0, "EA": 1e7}
 """Smallest EI [N m^2] and EA [N] of a rigid segment."""
-POSITION = "s_m"
-"""Column of a profile: the distance [m] from the segment's near end."""
-
 Pieces = dict[str, np.ndarray]
 """Lengths (pieces,) and properties (pieces, 2) of a segment."""
 
@@ -118,31 +115,10 @@ def _pieces(robot: SegmentedRobotTable, segment: SegmentTable, folder: Path) -> 
 
 def _profile(path: Path, segment: SegmentTable) -> dict[str, np.ndarray]:
     """Returns the columns of a segment's profile, checked for range and length."""
-    known = tuple(PROFILE_COLUMNS.values())
-    columns = read_csv(path, (POSITION,), known, "the distance")
-    header = path.read_text(encoding="utf-8-sig").partition("\n")[0].strip().split(",")
-    unknown = [name for name in map(str.strip, header) if name not in (POSITION, *known)]
-    if unknown or len(columns) == 1:
-        given = f"unknown column {unknown[0]}" if unknown else "no property"
-        raise InputError(f"{path}: {given}; allowed columns: {POSITION}, {', '.join(known)}")
-    at = columns[POSITION]
-    if abs(at[0]) > 1e-6 or abs(at[-1] - segment.length) > 1e-6:
-        raise InputError(
-            f"{path}: {POSITION} covers {at[0]:g} to {at[-1]:g} m; allowed 0 to "
-            f"{segment.length:g} m, the length of the segment; correct the profile or the length"
-        )
-    for name, column in PROFILE_COLUMNS.items():
-        if column not in columns:
-            continue
-        quantity = quantity_of(SegmentTable.model_fields[name])
-        assert quantity is not None
-        for row, x in enumerate(columns[column], start=2):
-            if not quantity.low <= x <= quantity.high:
-                raise InputError.value(
-                    f"{path}, line {row}, column {column}", f"{x:g}", quantity.allowed,
-                    quantity.advice,
-                )  # fmt: skip
-    return columns
+    quantities = {
+        column: quantity_in(SegmentTable, name) for name, column in PROFILE_COLUMNS.items()
+    }
+    return read_profile(path, segment.length, quantities, "segment")
 
 
 def _part(segments: list[Pieces]) -> RobotPart:

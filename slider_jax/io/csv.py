@@ -1,13 +1,14 @@
 """Reads CSV files with named columns of numbers. Errors name the file and the line."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from slider_jax.errors import InputError
 from slider_jax.io.toml import read_bytes
+from slider_jax.io.units import Quantity
 
 
 def read_csv(
@@ -18,15 +19,52 @@ def read_csv(
     `increasing` names the column's quantity in errors. Raises `InputError` with file and line.
     """
     columns, lines = _read(path, required, blank)
-    times = columns[required[0]]
-    falls = np.flatnonzero(np.diff(times) <= 0.0)
-    if falls.size:
-        line = lines[falls[0] + 1]
-        raise InputError(
-            f"{path}, line {line}: {required[0]} = {times[falls[0] + 1]:g} after "
-            f"{times[falls[0]]:g}; {increasing} must increase from row to row"
-        )
+    _check_increase(path, columns[required[0]], lines, required[0], increasing)
     return columns
+
+
+POSITION = "s_m"
+"""Column of a profile: the distance [m] from the near end."""
+
+
+def read_profile(
+    path: Path, length: float, quantities: Mapping[str, Quantity], owner: str
+) -> dict[str, np.ndarray]:
+    """Returns the columns of a profile along a body: `POSITION` and some of `quantities`.
+
+    `quantities` contains the unit and the range of each column. The positions cover 0 to `length`
+    [m], the length of the `owner`, such as "rod". Raises `InputError` with file and line.
+    """
+    columns, lines = _read(path, (POSITION,), tuple(quantities))
+    header = path.read_text(encoding="utf-8-sig").partition("\n")[0].strip().split(",")
+    unknown = [name for name in map(str.strip, header) if name not in (POSITION, *quantities)]
+    if unknown or len(columns) == 1:
+        given = f"unknown column {unknown[0]}" if unknown else "no property"
+        raise InputError(f"{path}: {given}; allowed columns: {POSITION}, {', '.join(quantities)}")
+    at = columns[POSITION]
+    _check_increase(path, at, lines, POSITION, "the distance")
+    if abs(at[0]) > 1e-6 or abs(at[-1] - length) > 1e-6:
+        raise InputError(
+            f"{path}: {POSITION} covers {at[0]:g} to {at[-1]:g} m; allowed 0 to {length:g} m, the "
+            f"length of the {owner}; correct the profile or the length"
+        )
+    for name, quantity in quantities.items():
+        for line, x in zip(lines, columns.get(name, ()), strict=False):
+            if not quantity.low <= x <= quantity.high:
+                raise InputError.value(
+                    f"{path}, line {line}, column {name}", f"{x:g}", quantity.allowed,
+                    quantity.advice,
+                )  # fmt: skip
+    return columns
+
+
+def _check_increase(path: Path, values: np.ndarray, lines, name: str, increasing: str) -> None:
+    falls = np.flatnonzero(np.diff(values) <= 0.0)
+    if falls.size:
+        raise InputError(
+            f"{path}, line {lines[falls[0] + 1]}: {name} = {values[falls[0] + 1]:g} after "
+            f"{values[falls[0]]:g}; {increasing} must increase from row to row"
+        )
 
 
 def read_table(

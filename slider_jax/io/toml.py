@@ -142,6 +142,13 @@ def quantity_of(field: FieldInfo | None) -> Quantity | None:
     return next((item for item in candidates if isinstance(item, Quantity)), None)
 
 
+def quantity_in(table: type[BaseModel], name: str) -> Quantity:
+    """Returns the unit and range of the field `name` of a table, which must have both."""
+    quantity = quantity_of(table.model_fields[name])
+    assert quantity is not None
+    return quantity
+
+
 def _message(table: type[BaseModel], error: Any, content: Any) -> str:
     """Returns the message for one error of pydantic."""
     location = tuple(part for part in error["loc"] if not str(part).startswith("function-"))

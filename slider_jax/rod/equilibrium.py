@@ -118,7 +118,7 @@ def equilibrium(
         force + jnp.sum(weights, axis=0),
         moment + jnp.cross(shape.position[-1], force) + jnp.sum(jnp.cross(middle, weights), axis=0),
         error,
-        converged[-1] & jnp.all(jnp.isfinite(strains)),
+        jnp.all(converged) & jnp.all(jnp.isfinite(strains)),
     )
 
 
@@ -153,7 +153,7 @@ def stiffness_matrix(
 def smallest_eigenvalue(strains: Float[Array, "cells q"], rod: Rod, loads: RodLoads) -> float:
     """Returns the smallest real part of the eigenvalues of the stiffness matrix.
 
-    It is at most 1, the value without loads. The equilibrium is stable against small static
+    It is 1 without loads. The equilibrium is stable against small static
     disturbances if the value is positive. The criterion does not find flutter under follower loads.
     """
     matrix = np.asarray(eqx.filter_jit(stiffness_matrix)(strains, rod, loads))

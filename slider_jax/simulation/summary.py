@@ -11,10 +11,12 @@ from slider_jax.simulation.trial import TrialRun
 
 DEFINITIONS = {
     "mean_thrust_N": "mean thrust in the averaging window; positive forward, along the clamp; "
-    "null for a free robot, on which no clamp acts, as thrust_std_N and recoil_rms_N",
+    "null for a free robot, because no clamp acts on it; the same holds for thrust_std_N and "
+    "recoil_rms_N",
     "thrust_std_N": "standard deviation of the strides' mean thrusts; null for one stride",
     "recoil_rms_N": "root mean square of the lateral force on the clamp in the averaging window",
-    "tip_half_range_m": "half of the range of the tip's lateral position in the averaging window",
+    "tip_half_range_m": "half of the range of the tip's lateral position in the averaging window; "
+    "null for a free robot, which may turn",
     "forward_speed_m_per_s": "distance between the head's positions in the tank at the start and "
     "at the end of the averaging window, divided by the time; negative if the tail leads; null for "
     "a clamped robot",
@@ -24,7 +26,8 @@ DEFINITIONS = {
     "stride. The window is the whole trial if the trial is shorter than a stride, and the second "
     "half of the trial if the drive is recorded",
     "periodic": "whether the last two strides agree: the mean thrust within 1 % or 1 mN (of a free "
-    "robot: the forward speed within 1 % or 1 mm/s), and the tip's range within 1 %; null for a "
+    "robot: the forward speed within 1 % or 1 mm/s), and the tip's range within 1 %, unless the "
+    "robot is free; null for a "
     "trial of less than two strides",
     "rmse_to_measured": "root mean square of simulated minus measured readings for all samples of "
     "the trial's file; null without a file",
@@ -88,7 +91,7 @@ def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
         name, unit, least = "mean thrust", "mN", STEADY_THRUST
     if abs(last - before) > max(least, STEADY * abs(last)):
         changes.append(f"{name} from {1e3 * before:.2f} to {1e3 * last:.2f} {unit}")
-    if abs(range_last - range_before) > STEADY * range_last:
+    if not is_free(run) and abs(range_last - range_before) > STEADY * range_last:
         ranges = f"{1e3 * range_before:.2f} to {1e3 * range_last:.2f} mm"
         changes.append(f"range of the tip from {ranges}")
     if not changes:
@@ -144,7 +147,7 @@ def trial_summary(experiment: Experiment, run: TrialRun) -> dict[str, Any]:
         "averaged_from_s": run.t[span.start - 1],
         "averaged_to_s": run.t[span.stop - 1],
         **loads,
-        "tip_half_range_m": 0.5 * np.ptp(tip),
+        "tip_half_range_m": None if is_free(run) else 0.5 * np.ptp(tip),
         "periodic": periodic,
         "warnings": [warning] if warning else [],
         "rmse_to_measured": rmse_to_measured(run),

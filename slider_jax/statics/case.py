@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax.errors import InputError
-from slider_jax.io.csv import read_csv
-from slider_jax.io.toml import quantity_of, read_toml, validate
+from slider_jax.io.csv import POSITION, read_profile
+from slider_jax.io.toml import quantity_in, read_toml, validate
 from slider_jax.rod.loads import RodLoads, RodTendon
 from slider_jax.rod.rod import Rod
 from slider_jax.statics.tables import (
+    CURVATURE,
     CURVATURE_COLUMNS,
     PROFILE_COLUMNS,
     RodChamberTable,
@@ -19,11 +20,6 @@ from slider_jax.statics.tables import (
     RodTendonTable,
     StaticCaseTable,
 )
-
-POSITION = "s_m"
-"""Column of a profile: the distance [m] from the clamp."""
-STRONGEST_GRAVITY = 100.0
-"""Largest acceleration of gravity [m/s^2]."""
 
 
 class StaticCase(NamedTuple):
@@ -48,10 +44,6 @@ def load_case(path: Path) -> StaticCase:
     given = {name: _along(name, x, columns, middle, path) for name in PROFILE_COLUMNS}
     gravity = np.array(load.gravity)
     size = float(np.linalg.norm(gravity))
-    if size > STRONGEST_GRAVITY:
-        raise InputError.value(
-            f"{path}: load.gravity", list(load.gravity), f"at most {STRONGEST_GRAVITY:g} m/s^2"
-        )
     density, area = given["linear_density"], given["section_area"]
     if size > 0.0 and density is None:
         raise InputError(
@@ -125,30 +117,11 @@ def _curvature(x: RodTable, columns, middle) -> list[np.ndarray | None]:
 
 def _profile(path: Path, x: RodTable) -> dict[str, np.ndarray]:
     """Returns the columns of a rod's profile, checked for range and length."""
-    known = (*PROFILE_COLUMNS.values(), *CURVATURE_COLUMNS)
-    columns = read_csv(path, (POSITION,), known, "the distance")
-    header = path.read_text(encoding="utf-8-sig").partition("\n")[0].strip().split(",")
-    unknown = [name for name in map(str.strip, header) if name not in (POSITION, *known)]
-    if unknown or len(columns) == 1:
-        given = f"unknown column {unknown[0]}" if unknown else "no property"
-        raise InputError(f"{path}: {given}; allowed columns: {POSITION}, {', '.join(known)}")
+    quantities = {column: quantity_in(RodTable, name) for name, column in PROFILE_COLUMNS.items()}
+    quantities |= dict.fromkeys(CURVATURE_COLUMNS, CURVATURE)
+    columns = read_profile(path, x.length, quantities, "rod")
     if x.initial_curvature is not None and any(name in columns for name in CURVATURE_COLUMNS):
         raise InputError(f"{path}: [rod] also has initial_curvature; remove one of them")
-    at = columns[POSITION]
-    if abs(at[0]) > 1e-6 or abs(at[-1] - x.length) > 1e-6:
-        raise InputError(
-            f"{path}: {POSITION} covers {at[0]:g} to {at[-1]:g} m; allowed 0 to {x.length:g} m, "
-            "the length of the rod; correct the profile or the length"
-        )
-    for name, column in PROFILE_COLUMNS.items():
-        quantity = quantity_of(RodTable.model_fields[name])
-        assert quantity is not None
-        for row, value in enumerate(columns.get(column, ()), start=2):
-            if not quantity.low <= value <= quantity.high:
-                raise InputError.value(
-                    f"{path}, line {row}, column {column}", f"{value:g}", quantity.allowed,
-                    quantity.advice,
-                )  # fmt: skip
     return columns
 
 

@@ -10,6 +10,11 @@ from slider_jax.io.units import Quantity
 
 Number = Annotated[float, Quantity(-1e9, 1e9)]
 Vector = Annotated[tuple[Number, Number, Number], FROM_LIST]
+CURVATURE = Quantity(-1e4, 1e4, "1/m")
+Curvature = Annotated[float, CURVATURE]
+Curvatures = Annotated[tuple[Curvature, Curvature, Curvature], FROM_LIST]
+Acceleration = Annotated[float, Quantity(-100.0, 100.0, "m/s^2")]
+Gravity = Annotated[tuple[Acceleration, Acceleration, Acceleration], FROM_LIST]
 Length = Annotated[float, Quantity(1e-4, 1000.0, "m")]
 Stiffness = Annotated[float, Quantity(1e-9, 1e9, "N m^2")]
 AxialStiffness = Annotated[float, Quantity(1e-3, 1e12, "N")]
@@ -25,7 +30,7 @@ Pressure = Annotated[float, Quantity(-1e7, 1e7, "Pa")]
 MomentPerPressure = Annotated[float, Quantity(1e-12, 1e-2, "m^3")]
 Angle = Annotated[float, Quantity(-1000.0, 1000.0, "rad")]
 Angles = Annotated[tuple[Angle, Angle], FROM_LIST]
-Nodes = Annotated[int, Field(ge=3, le=1001)]
+Nodes = Annotated[int, Field(strict=True, ge=3, le=401)]
 
 PARALLEL = 1e-6
 """Largest cosine of the angle between tangent and normal of the clamp."""
@@ -53,7 +58,7 @@ class RodTable(Table):
     EA: AxialStiffness | None = None
     linear_density: LinearDensity | None = None
     section_area: Area | None = None
-    initial_curvature: Vector | None = None
+    initial_curvature: Curvatures | None = None
     profile: FileName | None = None
     clamp_tangent: Vector = (1.0, 0.0, 0.0)
     clamp_normal: Vector = (0.0, 1.0, 0.0)
@@ -79,8 +84,8 @@ class LoadTable(Table):
 
     force: Vector = (0.0, 0.0, 0.0)
     moment: Vector = (0.0, 0.0, 0.0)
-    follower: bool = False
-    gravity: Vector = (0.0, 0.0, 0.0)
+    follower: Annotated[bool, Field(strict=True)] = False
+    gravity: Gravity = (0.0, 0.0, 0.0)
     fluid_density: Density = 0.0
 
 

@@ -287,6 +287,7 @@ class Stopped(Exception):
     """Ends a command."""
 
 
+@pytest.mark.slow
 def test_the_ring_down_starts_from_the_identified_stiffnesses(exact, tmp_path, monkeypatch):
     robots = []
 

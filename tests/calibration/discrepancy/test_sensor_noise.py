@@ -116,6 +116,7 @@ def test_a_hum_is_reported_with_its_frequency_and_amplitude(tmp_path):
     assert record["residual"]["channels"]["thrust"]["where"]["trial"] == "trial_02.csv"
 
 
+@pytest.mark.slow
 def test_a_parameter_that_changes_between_trials_is_reported(tmp_path):
     found = outcome(tmp_path, late=1.2)
     (x,) = [x for x in found.unstable if x.name == "m_a"]

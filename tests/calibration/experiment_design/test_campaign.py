@@ -91,6 +91,7 @@ def test_a_campaign_measures_until_the_verdict_is_final(tmp_path, monkeypatch):
     assert json.loads((tmp_path / "out" / "round_06.json").read_text())["verdict"] == "unexplained"
 
 
+@pytest.mark.slow
 def test_a_campaign_ends_at_its_budget_without_a_final_verdict(tmp_path, monkeypatch):
     path, capture, captured = tank(tmp_path, {}, 4)
     files = iter("abcdef")

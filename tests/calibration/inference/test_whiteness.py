@@ -59,6 +59,7 @@ def test_the_p_values_of_white_series_are_uniform():
         assert 0.4 * q - margin < np.mean(line < q) < q + margin
 
 
+@pytest.mark.slow
 def test_a_short_series_rarely_has_a_very_small_p_value():
     """With the chi-squared distribution, 65 of 20,000 series have a p-value below 2e-4."""
     place = np.arange(80)

@@ -45,7 +45,7 @@ def test_tendons_run_in_the_wall_to_their_end():
 
 
 def test_the_arm_bends_as_the_readme_of_the_data_says():
-    """RodTendon 1 pulls the tip to +x and +y, and tendon 2 mirrors it at the plane y = 0."""
+    """Tendon 1 pulls the tip to +x and +y, and tendon 2 mirrors it at the plane y = 0."""
     one, two = (arm_under(STATED, jnp.array(u)) for u in ((3.0, 0.0), (0.0, 3.0)))
     assert one.ok
     assert one.markers[3, 0] > 0.02
@@ -81,7 +81,7 @@ ROW = ",".join(("a", "1.0", "0.0", *["0.1"] * 12))
         ("", "no row; give a header"),
         (HEADER + "\n", "no row"),
         (HEADER.replace("p2x_m", "x") + "\n" + ROW, "no column p2x_m; add this column"),
-        (HEADER + "\n" + ROW + "\n" + ROW, "the run a stands in two rows"),
+        (HEADER + "\n" + ROW + "\n" + ROW, "the run a has two rows"),
         (HEADER + "\n" + ROW.replace("1.0", "-1.0"), "line 2, column u1_N: given -1.0; allowed 0"),
         (HEADER + "\n" + ROW.replace("1.0", "nan"), "line 2, column u1_N: given nan"),
         (

@@ -44,6 +44,7 @@ def distances(model, numerics):
     return np.asarray(grid.s[-1] - grid.mid(grid.s))
 
 
+@pytest.mark.slow
 def test_curvature_follows_in_the_span_and_the_rest_of_the_body_is_elastic():
     """1 % of the largest curvature at 250 steps per period; the error is of second order."""
     actuator = wave(near=0.1, far=0.25)

@@ -80,6 +80,7 @@ def test_a_rod_of_two_stiffnesses_bends_as_beam_theory_says(a, cells):
     assert error < 0.5 / cells**2 + 2e-5  # the last part is the nonlinearity of the large bend
 
 
+@pytest.mark.slow
 def test_a_tapered_rod_bends_as_beam_theory_says():
     """EI falls linearly: the displacement is the integral of F x^2/EI(x), x from the tip."""
     model = rod([0.32], EI=[[0.08, 0.02]])

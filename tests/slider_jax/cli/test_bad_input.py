@@ -51,7 +51,7 @@ TOML_CASES = {
     "negative stiffness": (("EI_tail = 0.0058", "EI_tail = -0.0058"), ("robot.EI_tail",)),
     "negative frequency": (("frequency = 4.0", "frequency = -4.0"), ("trials.0.frequency", "Hz")),
     "no frequency": (("frequency = 4.0\n", ""), ("trials.0.frequency", "square")),
-    "chambers overlap": (("[0.155, 0.28]", "[0.1, 0.28]"), ("robot.rear_chamber", "0.145 m")),
+    "chambers overlap": (("[0.155, 0.28]", "[0.1, 0.28]"), ("robot.rear_chamber", "0.145] m")),
     "chamber beyond the body": (("0.28]", "0.31]"), ("robot.rear_chamber", "0 to 0.3 m")),
     "chamber reversed": (("[0.02, 0.145]", "[0.145, 0.02]"), ("robot.front_chamber", "near < far")),
     "chamber with one end": (("[0.02, 0.145]", "[0.02]"), ("robot.front_chamber.1: missing",)),

@@ -56,6 +56,7 @@ def test_forces_in_time_are_those_of_linear_theory(errors):
     assert np.all(errors[1.0] < 0.01)
 
 
+@pytest.mark.slow
 def test_error_falls_with_the_square_of_the_amplitude(errors):
     """Order 2 of both forces, between four and two times the amplitudes of the example."""
     thrust, side = (order([2.0, 4.0], [errors[2.0][i], errors[4.0][i]]) for i in range(2))

@@ -239,8 +239,8 @@ CASES = {
     ),
     "overlap": (
         FRONT + chamber("rear", 0.1, 0.28),
-        "actuators.1.span: given [0.1, 0.28]; allowed a span outside of [0.02, 0.145], the span of "
-        "front",
+        "actuators.1.span: given [0.1, 0.28]; allowed a span outside of [0.02, 0.145] m, the span "
+        "of front",
     ),
     "a pair over a single chamber": (
         chamber("left", 0.02, 0.145, 'side = "left"') + chamber("rear", 0.1, 0.28),

@@ -45,6 +45,7 @@ def at_rest(path):
     return at_rest_under(to_model(each), loads, to_numerics(each)[0])
 
 
+@pytest.mark.slow
 def test_a_submerged_beam_sags_by_its_net_weight(tmp_path):
     """w L^4/(8 EI) with w = (rho_s - rho) A g; without the density, the whole weight acts."""
     dense = ("height = 0.03", "height = 0.03\ndensity = 1100.0")

@@ -81,6 +81,7 @@ def test_a_column_buckles_at_eulers_load():
     assert changes_sign(at, np.pi**2 * 0.03 / (4.0 * 0.4**2))
 
 
+@pytest.mark.slow
 def test_a_twisted_straight_rod_between_clamps_buckles_at_greenhills_moment():
     EI, L = 0.03, 0.4
     rod = rod_of(L, 0.05, EI, EI)
@@ -115,11 +116,12 @@ def test_a_twisted_ring_buckles_at_michells_angle():
     assert changes_sign(at, 2.0 * np.pi * np.sqrt(3.0) * EI / GJ)
 
 
-def test_stable_without_loads_and_one_at_most():
+def test_the_eigenvalue_is_one_without_loads():
     rod = rod_of(0.4, 0.05, 0.03, 0.06)
     assert smallest_eigenvalue(rod.unloaded, rod, loads_of()) == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_tip_agree_with_differences_in_forward_and_reverse():
     rod = rod_of(0.368, 0.05, 0.038, 0.152, cells=20)
     loads = loads_of(force=(-0.2, 0.5, 0.5))

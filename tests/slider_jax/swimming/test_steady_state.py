@@ -54,6 +54,7 @@ def test_the_root_is_where_a_long_swim_from_rest_ends(name):
     np.testing.assert_allclose(found.speed, long.speed, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_wave_towards_the_head_swims_tail_first():
     gait = GAITS["5 Hz"]._replace(phase=-0.4)
     found, ahead = (
