@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from slider_jax.beam.parameters import G
 from slider_jax.rod.equilibrium import RodEquilibrium, equilibrium
-from slider_jax.rod.loads import RodLoads, RodTendon
+from slider_jax.rod.loads import RodLoads, RodTendon, straight_tendon
 from slider_jax.rod.rod import Rod
 from slider_jax.rod.rotations import mean_rotation, rotation
 
@@ -80,20 +80,11 @@ def rod_of(parameters: ArmParameters) -> Rod:
 
 def arm_tendons(tensions: Float[Array, "2"]) -> tuple[RodTendon, ...]:
     """Returns both tendons with the given tensions [N]."""
-    ds = LENGTH / CELLS
-    near = np.arange(CELLS) * ds
-    end = np.minimum(near + ds, TENDON_END)
-    share = np.clip(end - near, 0.0, None) / ds
-    s = 0.5 * (near + np.maximum(end, near))
-    distance = (TENDON_RADIUS + TENDON_TAPER * s)[:, None]
+    edges = np.linspace(0.0, LENGTH, CELLS + 1)
+    near, far = TENDON_RADIUS, TENDON_RADIUS + TENDON_TAPER * TENDON_END
     sides = [np.array([np.cos(angle), np.sin(angle)]) for angle in TENDON_ANGLES]
     return tuple(
-        RodTendon(
-            offset=jnp.asarray(distance * side),
-            offset_slope=jnp.asarray(np.tile(TENDON_TAPER * side, (CELLS, 1))),
-            share=jnp.asarray(share),
-            tension=tension,
-        )
+        straight_tendon((0.0, TENDON_END), near * side, far * side, tension, edges)
         for side, tension in zip(sides, tensions, strict=True)
     )
 

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.rod.rod import Rod, RodShape, stretch_of
@@ -35,6 +36,33 @@ class RodTendon(eqx.Module):
             ]
         )
         return jnp.sum(jnp.sqrt(jnp.sum(along**2, axis=0)) * self.share * rod.ds)
+
+
+def covered_share(span, edges: np.ndarray) -> np.ndarray:
+    """Returns the part of each cell that lies in the span, 0 to 1; `edges` [m] bound the cells."""
+    inside = np.minimum(edges[1:], span[1]) - np.maximum(edges[:-1], span[0])
+    return np.clip(inside, 0.0, None) / np.diff(edges)
+
+
+def covered_middle(span, edges: np.ndarray) -> np.ndarray:
+    """Returns the middle [m] of the part of each cell that lies in the span."""
+    return 0.5 * (np.clip(edges[1:], *span) + np.clip(edges[:-1], *span))
+
+
+def straight_tendon(span, start, end, tension, edges: np.ndarray) -> RodTendon:
+    """Returns the tendon along `span` [m] that runs from the place (n, b) `start` to `end` [m].
+
+    `edges` [m] are the ends of the cells, from the clamp.
+    """
+    start, end = np.array(start), np.array(end)
+    slope = (end - start) / (span[1] - span[0])
+    ahead = covered_middle(span, edges) - span[0]
+    return RodTendon(
+        offset=jnp.asarray(start + ahead[:, None] * slope),
+        offset_slope=jnp.tile(jnp.asarray(slope), (len(ahead), 1)),
+        share=jnp.asarray(covered_share(span, edges)),
+        tension=jnp.asarray(tension),
+    )
 
 
 class RodLoads(eqx.Module):

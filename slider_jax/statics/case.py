@@ -9,7 +9,7 @@ import numpy as np
 from slider_jax.errors import InputError
 from slider_jax.io.csv import POSITION, read_profile
 from slider_jax.io.toml import quantity_in, read_toml, validate
-from slider_jax.rod.loads import RodLoads, RodTendon
+from slider_jax.rod.loads import RodLoads, RodTendon, covered_middle, covered_share, straight_tendon
 from slider_jax.rod.rod import Rod
 from slider_jax.statics.tables import (
     CURVATURE,
@@ -17,7 +17,6 @@ from slider_jax.statics.tables import (
     PROFILE_COLUMNS,
     RodChamberTable,
     RodTable,
-    RodTendonTable,
     StaticCaseTable,
 )
 
@@ -69,7 +68,10 @@ def load_case(path: Path) -> StaticCase:
         weight=jnp.asarray(size * mass),
         EA=None if given["EA"] is None else jnp.asarray(given["EA"]),
     )
-    lines = [_tendon(tendon, edges) for tendon in table.tendons]
+    lines = [
+        straight_tendon(each.span, each.start, each.end, each.tension, edges)
+        for each in table.tendons
+    ]
     lines += [_chamber(chamber, edges) for chamber in table.chambers]
     down = gravity / size if size > 0.0 else np.array([0.0, 0.0, -1.0])
     loads = RodLoads(
@@ -125,38 +127,15 @@ def _profile(path: Path, x: RodTable) -> dict[str, np.ndarray]:
     return columns
 
 
-def _covered(span, edges) -> np.ndarray:
-    """Returns the part of each cell that lies in the span, 0 to 1."""
-    inside = np.minimum(edges[1:], span[1]) - np.maximum(edges[:-1], span[0])
-    return np.clip(inside, 0.0, None) / np.diff(edges)
-
-
-def _tendon(x: RodTendonTable, edges) -> RodTendon:
-    start, end = np.array(x.start), np.array(x.end)
-    slope = (end - start) / (x.span[1] - x.span[0])
-    at = _middle_in(x.span, edges) - x.span[0]
-    return RodTendon(
-        offset=jnp.asarray(start + at[:, None] * slope),
-        offset_slope=jnp.tile(jnp.asarray(slope), (len(at), 1)),
-        share=jnp.asarray(_covered(x.span, edges)),
-        tension=jnp.asarray(x.tension),
-    )
-
-
 def _chamber(x: RodChamberTable, edges) -> RodTendon:
     """Returns the tendon that pushes with the force of the chamber's pressure."""
     rate = (x.angles[1] - x.angles[0]) / (x.span[1] - x.span[0])
-    angle = x.angles[0] + rate * (_middle_in(x.span, edges) - x.span[0])
+    angle = x.angles[0] + rate * (covered_middle(x.span, edges) - x.span[0])
     place = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     ahead = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     return RodTendon(
         offset=jnp.asarray(x.distance * place),
         offset_slope=jnp.asarray(rate * x.distance * ahead),
-        share=jnp.asarray(_covered(x.span, edges)),
+        share=jnp.asarray(covered_share(x.span, edges)),
         tension=jnp.asarray(-x.pressure * x.K_Q / x.distance),
     )
-
-
-def _middle_in(span, edges) -> np.ndarray:
-    """Returns the middle of the part of each cell that lies in the span."""
-    return 0.5 * (np.clip(edges[1:], *span) + np.clip(edges[:-1], *span))
