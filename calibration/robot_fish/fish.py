@@ -23,7 +23,6 @@ from slider_jax.dynamics.model import Drive, Model, make_mesh
 from slider_jax.effects.base import ForceDensity
 from slider_jax.effects.water.head_drag import HeadDrag
 from slider_jax.effects.water.keulegan_carpenter_drag import KeuleganCarpenterDrag
-from slider_jax.effects.water.tail_drag import TailDrag
 from slider_jax.errors import InputError
 from slider_jax.io.csv import read_table
 from slider_jax.supports import Free
@@ -55,12 +54,12 @@ class Parameters(eqx.Module):
 
     C: Scalar
     """Drag coefficient of the crossflow at the Keulegan-Carpenter number 1 [-]."""
-    C_tail: Scalar
-    """Drag coefficient of the fin minus the coefficient of the body [-]."""
     yaw_inertia: Scalar
     """Moment of inertia [kg m^2] about z that the head has in addition to the stated masses."""
     sway_mass: Scalar
-    """Mass [kg] of the head and its water in lateral motion, at a beat of 1 Hz."""
+    """Mass M [kg] of the head and its water in lateral motion, at a beat of 1 Hz."""
+    sway_exponent: Scalar
+    """Exponent p of the beat in the head's sway mass [-]. It is empirical."""
     pull: Scalar
     """Length that the motor pulls in, divided by the length from its dimensions [-]."""
     hinge: Scalar
@@ -73,8 +72,6 @@ ADDED_MASS = 0.3
 A panel method for a plate of the fish's outline gives 0.20 to 0.30, because the water also flows
 around the rear edge of the short fin.
 """
-SWAY_EXPONENT = 1.5
-"""Exponent of the beat in the head's sway mass. It is empirical; 1 to 2 are similar."""
 DRAG_AREA = 0.017
 """Drag coefficient times frontal area [m^2], estimated from the robot's dimensions."""
 TENDON_STIFFNESS = 2e4
@@ -330,24 +327,23 @@ def strip_weights(robot: Robot, numerics: Numerics) -> Float[Array, "hinges cell
     return jnp.asarray(share / ds)
 
 
-def head_coefficient(size: Dimensions, sway_mass: Scalar, beat: Scalar) -> Scalar:
-    """Returns the added-mass coefficient with which the head's sway mass is M (f/1 Hz)^(3/2).
+def head_coefficient(size: Dimensions, x: Parameters, beat: Scalar) -> Scalar:
+    """Returns the added-mass coefficient with which the head's sway mass is M (f/1 Hz)^p.
 
-    `sway_mass` is M [kg], and `beat` is f [Hz]. The coefficient is negative at slow beats.
+    `beat` is f [Hz]. The coefficient is negative at slow beats.
     """
     edges = np.linspace(NOSE, HINGES[0], 400)
     middle = 0.5 * (edges[1:] + edges[:-1])
     unit = DENSITY * math.pi / 4.0 * float(np.sum(height_at(middle, size) ** 2 * np.diff(edges)))
-    return (sway_mass * beat**SWAY_EXPONENT - size.mass[0]) / unit
+    return (x.sway_mass * beat**x.sway_exponent - size.mass[0]) / unit
 
 
 def model_of_fish(size: Dimensions, x: Parameters, beat: Scalar, actuators: tuple) -> Model:
     """Returns the swimming fish with the water's forces and the given actuators."""
-    head = head_coefficient(size, x.sway_mass, beat)
+    head = head_coefficient(size, x, beat)
     effects = (
         WakelessInertia(head, ADDED_MASS, END - HINGES[0], DENSITY),
         KeuleganCarpenterDrag(x.C, stride_frequency=beat, density=DENSITY),
-        TailDrag(x.C_tail, DENSITY),
         HeadDrag(DRAG_AREA, DENSITY),
     )
     robot = robot_of_fish(size, x.yaw_inertia, x.hinge)

@@ -92,7 +92,7 @@ def fish_speeds_table(runs: list[RunPrediction]) -> str:
 
 
 UNITS = {
-    "C": "-", "C_tail": "-", "yaw_inertia": "kg m^2", "sway_mass": "kg", "pull": "-",
+    "C": "-", "yaw_inertia": "kg m^2", "sway_mass": "kg", "sway_exponent": "-", "pull": "-",
     "hinge": "N m/rad",
 }  # fmt: skip
 """Units of the parameters."""

@@ -17,6 +17,7 @@ from calibration.robot_fish.fish import (
     HINGES,
     NOSE,
     CrankPull,
+    Parameters,
     WakelessInertia,
     head_coefficient,
     height_at,
@@ -60,17 +61,18 @@ def test_strips_turn_the_tail_by_the_hinge_angles(fish):
 
 
 def test_head_and_its_water_have_the_sway_mass(fish):
-    """M (f/1 Hz)^(3/2) is the solid mass plus the integral of m_A. Tolerance: 1 % for the sum."""
+    """M (f/1 Hz)^p is the solid mass plus the integral of m_A. Tolerance: 1 % for the sum."""
     size = read_dimensions(fish)
     x = np.linspace(NOSE, HINGES[0], 2000)
-    for beat in (0.5, 1.5):
-        water = WakelessInertia(head_coefficient(size, 1.2, beat), 0.3, 0.0, 1000.0)
+    for beat, exponent in ((0.5, 1.5), (1.5, 1.5), (1.5, 2.0)):
+        free = Parameters(3.0, 0.0, sway_mass=1.2, sway_exponent=exponent, pull=1.0, hinge=0.35)
+        water = WakelessInertia(head_coefficient(size, free, beat), 0.3, 0.0, 1000.0)
         section = SimpleNamespace(
             s=np.ones_like(x), height=height_at(x, size), u_n=0.0 * x, omega=0.0 * x, u_n_t=1.0
         )
         F_tau, F_n = water.force(section)
         total = size.mass[0] - np.trapezoid(np.asarray(F_n), x)
-        assert total == pytest.approx(1.2 * beat**1.5, rel=0.01)
+        assert total == pytest.approx(1.2 * beat**exponent, rel=0.01)
         np.testing.assert_allclose(F_tau, 0.0)
 
 
