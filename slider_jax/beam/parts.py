@@ -30,6 +30,15 @@ class RobotPart(eqx.Module):
     | `damping_time` | s | alpha: stress = E_el (1 + alpha d/dt) strain, elastic modulus E_el |
     | `height` | m | H, out-of-plane height that determines the forces of the water |
     | `area` | m^2 | A, volume of displaced water per length; None: no buoyancy |
+
+    A robot in three dimensions has further properties. The planar program ignores them.
+
+    | field | unit | meaning |
+    |---|---|---|
+    | `GJ` | N m^2 | torsional stiffness |
+    | `EI_n` | N m^2 | stiffness against bending out of the plane; None: `EI` |
+    | `polar_inertia` | kg m | moment of inertia about the axis per length |
+    | `width` | m | W, size of the section across the height; None: 0, a plate |
     """
 
     lengths: Float[Array, " pieces"] | Scalar
@@ -39,8 +48,12 @@ class RobotPart(eqx.Module):
     damping_time: Property
     height: Property
     area: Property | None = None
+    GJ: Property | None = None
+    EI_n: Property | None = None
+    polar_inertia: Property | None = None
+    width: Property | None = None
 
-    COMPLIANT: ClassVar[tuple[str, ...]] = ("EI", "EA")
+    COMPLIANT: ClassVar[tuple[str, ...]] = ("EI", "EA", "GJ", "EI_n")
     """Properties whose reciprocals are averaged: compliances in series add up."""
 
     @property

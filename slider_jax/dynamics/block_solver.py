@@ -1,8 +1,9 @@
 """The Jacobian of a stage as a linear operator, and its structured direct solver.
 
-The unknowns per node are the forces f = (T, N, M) and the motion v = (V_tau, V_n, phi). Six
-equations connect the left node j of a cell to the right node j + 1. Three boundary conditions hold
-at the tail and three at the head. The solver first transforms all cells to the *scattering* form
+The unknowns per node are the forces f and the motion v, with k components each. In the plane, k is
+3, f = (T, N, M) and v = (V_tau, V_n, phi). In three dimensions, k is 6. 2 k equations connect the
+left node j of a cell to the right node j + 1. k boundary conditions hold at the tail and k at the
+head. The solver first transforms all cells to the *scattering* form
 
     v_left  = S11 f_left + S12 v_right + s1
     f_right = S21 f_left + S22 v_right + s2
@@ -31,8 +32,8 @@ class Update(eqx.Module):
     It adds sum_j columns_j (rows_j . y) to the cell equations.
     """
 
-    columns: Float[Array, "n 6 cells"]
-    rows: Float[Array, "n 6 nodes"]
+    columns: Float[Array, "n 2k cells"]
+    rows: Float[Array, "n 2k nodes"]
 
     def weights(self, y) -> Float[Array, " n"]:
         """Returns rows_j . y."""
@@ -40,18 +41,18 @@ class Update(eqx.Module):
 
 
 class BeamOperator(lx.AbstractLinearOperator):
-    """Jacobian of the box-method residual with respect to the nodal unknowns (6, N).
+    """Jacobian of the box-method residual with respect to the nodal unknowns (2 k, N).
 
-    `left`, `right` (6 rows, 6 unknowns, cells): derivatives of the cell equations with respect to
-    the two nodes of the cell. `tail`, `head` (3 rows, 6 unknowns): derivatives of the boundary
+    `left`, `right` (2 k rows, 2 k unknowns, cells): derivatives of the cell equations with respect
+    to the two nodes of the cell. `tail`, `head` (k rows, 2 k unknowns): derivatives of the boundary
     conditions. Rows are in the order of `residual`: cells, tail, head. `update` is the part that
     couples distant cells.
     """
 
-    left: Float[Array, "6 6 cells"]
-    right: Float[Array, "6 6 cells"]
-    tail: Float[Array, "3 6"]
-    head: Float[Array, "3 6"]
+    left: Float[Array, "2k 2k cells"]
+    right: Float[Array, "2k 2k cells"]
+    tail: Float[Array, "k 2k"]
+    head: Float[Array, "k 2k"]
     update: Update | None = None
 
     def mv(self, y):
@@ -71,10 +72,12 @@ class BeamOperator(lx.AbstractLinearOperator):
         raise NotImplementedError("BeamOperator.transpose does not exist; use BeamSolver.transpose")
 
     def in_structure(self):
-        return jax.ShapeDtypeStruct((6, self.left.shape[-1] + 1), self.left.dtype)
+        rows, _, cells = self.left.shape
+        return jax.ShapeDtypeStruct((rows, cells + 1), self.left.dtype)
 
     def out_structure(self):
-        shapes = ((6, self.left.shape[-1]), (3,), (3,))
+        rows, _, cells = self.left.shape
+        shapes = ((rows, cells), (rows // 2,), (rows // 2,))
         return tuple(jax.ShapeDtypeStruct(shape, self.left.dtype) for shape in shapes)
 
 
@@ -105,8 +108,11 @@ def _mv(a, x):
     return sum(a[:, k] * x[k] for k in range(a.shape[1]))
 
 
-def _inverse3(a):
-    """Returns the inverse of 3 x 3 blocks by cofactors, elementwise along the last axis."""
+def _inverse_of_half(a):
+    """Returns the inverse of k x k blocks, elementwise along the last axis."""
+    if a.shape[0] != 3:
+        return _inverse(a)
+    # 3 x 3 blocks by cofactors.
     (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = a
     r0 = b1 * c2 - b2 * c1
     r1 = b2 * c0 - b0 * c2
@@ -120,13 +126,13 @@ def _inverse3(a):
     return jnp.stack([jnp.stack([entry * scale for entry in row]) for row in rows])
 
 
-def _inverse6(a):
-    """Inverts 6 x 6 blocks by Gauss-Jordan without pivoting, elementwise along the last axis.
+def _inverse(a):
+    """Inverts square blocks by Gauss-Jordan without pivoting, elementwise along the last axis.
 
-    A loop eliminates the six pivots. The loop's carry prevents the compiler from recomputing the
+    A loop eliminates the pivots. The loop's carry prevents the compiler from recomputing the
     entries of `a` for each entry of the result.
     """
-    unit = jnp.eye(6, dtype=a.dtype)
+    unit = jnp.eye(a.shape[0], dtype=a.dtype)
 
     def eliminate(k, m):
         e = unit[k]
@@ -136,7 +142,7 @@ def _inverse6(a):
         rest = m * others[None, :, None] * others[:, None, None]
         return rest - (column * others[:, None])[:, None] * row + e[:, None, None] * row
 
-    return jax.lax.fori_loop(0, 6, eliminate, a)
+    return jax.lax.fori_loop(0, a.shape[0], eliminate, a)
 
 
 def _halving_order(cells: int) -> list[int]:
@@ -178,11 +184,12 @@ class _Factors(eqx.Module):
 
 
 def _join(A, B):
-    """Joins neighbours A (tail side) and B by the star product of scattering matrices (6, 6, k)."""
-    A11, A12, A21, A22 = A[:3, :3], A[:3, 3:], A[3:, :3], A[3:, 3:]
-    B11, B12, B21, B22 = B[:3, :3], B[:3, 3:], B[3:, :3], B[3:, 3:]
-    one = jnp.eye(3, dtype=A.dtype)[:, :, None]
-    E = _keep(_inverse3(_keep(one - _mm(B11, A22))))
+    """Joins neighbours A (tail side) and B by the star product of scattering matrices."""
+    k = A.shape[0] // 2
+    A11, A12, A21, A22 = A[:k, :k], A[:k, k:], A[k:, :k], A[k:, k:]
+    B11, B12, B21, B22 = B[:k, :k], B[:k, k:], B[k:, :k], B[k:, k:]
+    one = jnp.eye(k, dtype=A.dtype)[:, :, None]
+    E = _keep(_inverse_of_half(_keep(one - _mm(B11, A22))))
     motion = _keep(_mm(E, _keep(jnp.concatenate([_mm(B11, A21), B12], axis=1))))
     zero = jnp.zeros_like(A11)
     forces = _keep(_mm(A22, motion) + jnp.concatenate([A21, zero], axis=1))
@@ -193,10 +200,11 @@ def _join(A, B):
 
 def _factorise(operator: BeamOperator) -> _Factors:
     left, right = operator.left, operator.right
+    k = operator.tail.shape[0]
     # Each cell is solved for the motion of its left node and the forces of its right node. The rows
     # are in the order stretch, turn, moment law, balances, so diagonal entries are of order 1/ds.
-    cells = _inverse6(jnp.concatenate([left[:, 3:], right[:, :3]], axis=1))
-    S = -_mm(cells, jnp.concatenate([left[:, :3], right[:, 3:]], axis=1))
+    cells = _inverse(jnp.concatenate([left[:, k:], right[:, :k]], axis=1))
+    S = -_mm(cells, jnp.concatenate([left[:, :k], right[:, k:]], axis=1))
     S = S[..., np.array(_halving_order(S.shape[-1]))]
     joins = []
     while S.shape[-1] > 1:
@@ -207,39 +215,40 @@ def _factorise(operator: BeamOperator) -> _Factors:
     S = S[..., 0]
     # The tail's conditions G_f f + G_v v = g give f at the tail. After f is eliminated, the head's
     # conditions H_f f + H_v v = h give v at the head.
-    G_f, G_v = operator.tail[:, :3], operator.tail[:, 3:]
-    tail_f = _inverse3(G_f[..., None])[..., 0]
+    G_f, G_v = operator.tail[:, :k], operator.tail[:, k:]
+    tail_f = _inverse_of_half(G_f[..., None])[..., 0]
     tail_v = -tail_f @ G_v
-    one = jnp.eye(3, dtype=S.dtype)
-    tail_solve = _inverse3((one - S[:3, :3] @ tail_v)[..., None])[..., 0]
-    H_f, H_v = operator.head[:, :3], operator.head[:, 3:]
-    through = S[3:, 3:] + S[3:, :3] @ tail_v @ tail_solve @ S[:3, 3:]
-    head_solve = _inverse3((H_f @ through + H_v)[..., None])[..., 0]
+    one = jnp.eye(k, dtype=S.dtype)
+    tail_solve = _inverse_of_half((one - S[:k, :k] @ tail_v)[..., None])[..., 0]
+    H_f, H_v = operator.head[:, :k], operator.head[:, k:]
+    through = S[k:, k:] + S[k:, :k] @ tail_v @ tail_solve @ S[:k, k:]
+    head_solve = _inverse_of_half((H_f @ through + H_v)[..., None])[..., 0]
     return _Factors(cells, tuple(joins), S, tail_f, tail_v, tail_solve, H_f, head_solve)
 
 
 def _solve(factors: _Factors, rhs):
     """Returns the solution y of A y = rhs with the factorised A; JAX can transpose the function."""
     r_cells, r_tail, r_head = rhs
+    k = r_tail.shape[0]
     order = np.array(_halving_order(r_cells.shape[-1]))
     s = _keep(_mv(factors.cells, r_cells)[:, order])
     meetings = []
     for join in factors.joins:
         pairs = join.E.shape[-1]
         a, b, rest = s[:, :pairs], s[:, pairs : 2 * pairs], s[:, 2 * pairs :]
-        v = _keep(_mv(join.E, _mv(join.B11, a[3:]) + b[:3]))
-        f = _keep(a[3:] + _mv(join.A22, v))
+        v = _keep(_mv(join.E, _mv(join.B11, a[k:]) + b[:k]))
+        f = _keep(a[k:] + _mv(join.A22, v))
         meetings.append((v, f))
-        joined = jnp.concatenate([a[:3] + _mv(join.A12, v), b[3:] + _mv(join.B21, f)])
+        joined = jnp.concatenate([a[:k] + _mv(join.A12, v), b[k:] + _mv(join.B21, f)])
         s = _keep(jnp.concatenate([joined, rest], axis=-1))
     S, s = factors.body, s[:, 0]
     f_tail0 = factors.tail_f @ r_tail
-    v_tail0 = factors.tail_solve @ (S[:3, :3] @ f_tail0 + s[:3])
-    f_head0 = S[3:, :3] @ (f_tail0 + factors.tail_v @ v_tail0) + s[3:]
+    v_tail0 = factors.tail_solve @ (S[:k, :k] @ f_tail0 + s[:k])
+    f_head0 = S[k:, :k] @ (f_tail0 + factors.tail_v @ v_tail0) + s[k:]
     v_head = factors.head_solve @ (r_head - factors.head_f @ f_head0)
-    v_tail = v_tail0 + factors.tail_solve @ (S[:3, 3:] @ v_head)
+    v_tail = v_tail0 + factors.tail_solve @ (S[:k, k:] @ v_head)
     f_tail = f_tail0 + factors.tail_v @ v_tail
-    f_head = S[3:, :3] @ f_tail + S[3:, 3:] @ v_head + s[3:]
+    f_head = S[k:, :k] @ f_tail + S[k:, k:] @ v_head + s[k:]
     # The forces at the left end and the motion at the right end of each piece are now known.
     ends = jnp.concatenate([f_tail, v_head])[:, None]
     for join, (v0, f0) in zip(reversed(factors.joins), reversed(meetings), strict=True):
@@ -247,12 +256,12 @@ def _solve(factors: _Factors, rhs):
         outer = ends[:, :pairs]
         v_mid = _mv(join.motion, outer) + v0
         f_mid = _mv(join.forces, outer) + f0
-        left = jnp.concatenate([outer[:3], v_mid])
-        right = jnp.concatenate([f_mid, outer[3:]])
+        left = jnp.concatenate([outer[:k], v_mid])
+        right = jnp.concatenate([f_mid, outer[k:]])
         ends = _keep(jnp.concatenate([left, right, ends[:, pairs:]], axis=-1))
     ends = ends[:, np.argsort(order)]
-    forces = jnp.concatenate([ends[:3], f_head[:, None]], axis=-1)
-    motion = jnp.concatenate([v_tail[:, None], ends[3:]], axis=-1)
+    forces = jnp.concatenate([ends[:k], f_head[:, None]], axis=-1)
+    motion = jnp.concatenate([v_tail[:, None], ends[k:]], axis=-1)
     return jnp.concatenate([forces, motion])
 
 
@@ -272,7 +281,7 @@ def _factorise_all(operator: BeamOperator) -> _Factors | _Updated:
     blocks, update = _factorise(operator), operator.update
     if update is None:
         return blocks
-    none = jnp.zeros(3, operator.left.dtype)
+    none = jnp.zeros(operator.tail.shape[0], operator.left.dtype)
     solved = jax.vmap(lambda column: _solve(blocks, (column, none, none)))(update.columns)
     products = jax.vmap(update.weights, out_axes=1)(solved)
     inverse = jnp.linalg.inv(jnp.eye(len(solved), dtype=none.dtype) + products)
@@ -299,7 +308,8 @@ class BeamSolver(lx.AbstractLinearSolver):
     def compute(self, state, vector, options):
         factors, transposed = state
         if transposed:
-            shape = jax.eval_shape(lambda y: (y[:, 1:], y[:3, 0], y[:3, 0]), vector)
+            k = vector.shape[0] // 2
+            shape = jax.eval_shape(lambda y: (y[:, 1:], y[:k, 0], y[:k, 0]), vector)
             (solution,) = jax.linear_transpose(lambda r: _solve_all(factors, r), shape)(vector)
         else:
             solution = _solve_all(factors, vector)

@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from slider_jax.actuation.waveform import Waveform
 from slider_jax.beam.equations import Section
 from slider_jax.beam.parameters import Robot
+from slider_jax.beam.spatial import SpatialLoad, SpatialSection, no_load
 
 
 class Prior(NamedTuple):
@@ -145,6 +146,14 @@ class ForceDensity(Effect):
     @abstractmethod
     def force(self, x: Section) -> tuple[Array, Array]:
         """Returns the force per length (F_tau, F_n) [N/m] on a section of the body."""
+
+    def load_in_space(self, x: SpatialSection) -> SpatialLoad:
+        """Returns force and couple per length on a section of a body in space.
+
+        In the plane, the force must equal `force`. Raises `NotImplementedError` for an effect that
+        is defined in the plane only; `in_space` tells whether the effect has this method.
+        """
+        raise NotImplementedError(f"{self.name()} is defined in the plane only")
 
 
 class BendingMoment(Effect):
@@ -330,6 +339,25 @@ def last_sample(readings: Readings) -> Readings:
 def of_place(effects: tuple[Effect, ...], place: type) -> tuple:
     """Returns the `effects` whose base class is `place`, in the same order."""
     return tuple(effect for effect in effects if isinstance(effect, place))
+
+
+def in_space(effect: Effect) -> bool:
+    """Returns whether a model in three dimensions may contain the effect.
+
+    Effects of the pressures act alike in two and in three dimensions.
+    """
+    if isinstance(effect, ForceDensity):
+        return type(effect).load_in_space is not ForceDensity.load_in_space
+    return isinstance(effect, Command | Flow | ActingPressure)
+
+
+def total_load(effects: tuple[Effect, ...], x: SpatialSection) -> SpatialLoad:
+    """Returns the sum of the effects' loads per length in space."""
+    total = no_load(x)
+    for effect in of_place(effects, ForceDensity):
+        load = effect.load_in_space(x)
+        total = SpatialLoad(total.force.plus(load.force), total.couple.plus(load.couple))
+    return total
 
 
 def total_force(effects: tuple[Effect, ...], x: Section) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from slider_jax.beam.spatial import Quaternion, SpatialFields, Vec
 from slider_jax.beam.state import Fields
 
 
@@ -53,3 +54,16 @@ class Support(eqx.Module):
     @abstractmethod
     def anchor_velocity(self, head: Fields, omega: Array, t: Array) -> Float[Array, "2"]:
         """Returns the velocity (x, y) [m/s] of the reference point."""
+
+    @abstractmethod
+    def rows_in_space(
+        self, head: SpatialFields, frame: Quaternion, omega: Vec, t: Array
+    ) -> tuple[Array, ...]:
+        """Returns the residuals of the six boundary conditions of a robot in space at `t` [s].
+
+        In the plane, they are the conditions of `rows`, and the other velocities are zero.
+        """
+
+    @abstractmethod
+    def anchor_in_space(self, t: Array) -> Vec:
+        """Returns the vector [m] from the head to the reference point, in the head's frame."""

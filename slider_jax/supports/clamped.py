@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.spatial import Vec
 from slider_jax.beam.state import to_body, to_plane
 from slider_jax.supports.base import Start, Support
 
@@ -55,3 +56,13 @@ class Clamped(Support):
 
     def anchor_velocity(self, head, omega, t):
         return jnp.stack(to_plane(head.V_tau, head.V_n, head.phi))
+
+    def rows_in_space(self, head, frame, omega, t):
+        velocity, _, rate = self.carriage(t)
+        zero = jnp.zeros_like(rate)
+        moved = frame.to_frame(jnp.stack([*velocity, zero]))
+        turned = frame.to_frame(jnp.stack([zero, zero, rate]))
+        return *head.V.minus(moved), *omega.minus(turned)
+
+    def anchor_in_space(self, t):
+        return Vec(*jnp.zeros(3))

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.spatial import Vec
 from slider_jax.beam.state import to_plane
 from slider_jax.supports.base import Start, Support
 
@@ -36,3 +37,9 @@ class Free(Support):
 
     def anchor_velocity(self, head, omega, t):
         return jnp.stack(to_plane(head.V_tau, head.V_n, head.phi))
+
+    def rows_in_space(self, head, frame, omega, t):
+        return *head.T, *head.M
+
+    def anchor_in_space(self, t):
+        return Vec(*jnp.zeros(3))

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.spatial import Vec
 from slider_jax.beam.state import to_plane
 from slider_jax.supports.base import Start, Support
 
@@ -18,6 +19,8 @@ class PinnedLink(Support):
 
     The first two conditions are V + omega x r = 0, with the vector r from the head to the pin. The
     paper writes the curvature Omega instead of omega (docs/explanation/decisions.md).
+
+    In space, the link turns about the axis b only.
 
     sigma is +1 in the first half of every period 1/`frequency` [s] and -1 in the second half.
     `phase` is the delay of these periods, as a fraction of a period. With `frequency` = 0, sigma is
@@ -58,3 +61,11 @@ class PinnedLink(Support):
 
     def anchor_velocity(self, head, omega, t):
         return jnp.stack(to_plane(head.V_tau - self.arm(t) * omega, head.V_n, head.phi))
+
+    def rows_in_space(self, head, frame, omega, t):
+        at_pin = head.V.plus(omega.cross(self.anchor_in_space(t)))
+        return *at_pin, omega.tau, omega.n, head.M.b + self.arm(t) * head.T.tau
+
+    def anchor_in_space(self, t):
+        zero = jnp.zeros(())
+        return Vec(zero, self.arm(t), zero)

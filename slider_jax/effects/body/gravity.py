@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.spatial import SpatialLoad, Vec
 from slider_jax.beam.state import to_body
 from slider_jax.effects.base import ForceDensity, parameter
 
@@ -14,7 +15,9 @@ class Gravity(ForceDensity):
         (F_x, F_y) = -(m - rho A) g/(1 + eps) (cos(up), sin(up))
 
     m is the mass and A the volume of displaced water, both per unstretched length; eps is the axial
-    strain. In water, the tension T of the beam is the tension plus the pressure of the water times
+    strain. If the upward direction has the angle `elevation` to the plane, the force along the plane
+    is multiplied by cos(elevation), and a body in space also has the force along z. The centre of
+    buoyancy of a body in space may lie beside the centre of mass; the couple rights the body. In water, the tension T of the beam is the tension plus the pressure of the water times
     the cross-section, so it is 0 at a free end. Source: Archimedes' principle, Batchelor, G. K.
     (1967), An Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
     """
@@ -31,10 +34,24 @@ class Gravity(ForceDensity):
     """g, component of the acceleration of gravity in the plane of motion."""
     up: Scalar = eqx.field(default=0.0)
     """Angle [rad] of the upward direction from the x axis; 1.5708 if the y axis points up."""
+    elevation: Scalar = eqx.field(default=0.0)
+    """Angle [rad] of the upward direction from the plane (x, y); 1.5708 if the z axis points up."""
+    buoyancy_arm: tuple[Scalar, Scalar] = eqx.field(default=(0.0, 0.0))
+    """Position (n, b) [m] of the centre of buoyancy relative to the centre of mass."""
     density: Scalar = eqx.field(default=0.0)
     """Density rho [kg/m^3] of the water around the robot; 0 in air."""
 
     def force(self, x):
         mass = x.linear_density if x.area is None else x.linear_density - self.density * x.area
-        weight = mass * self.g / (1.0 + x.strain)
+        weight = mass * self.g * jnp.cos(self.elevation) / (1.0 + x.strain)
         return to_body((-weight * jnp.cos(self.up), -weight * jnp.sin(self.up)), x.phi)
+
+    def load_in_space(self, x):
+        s, level = x.structure, jnp.cos(self.elevation)
+        axes = level * jnp.cos(self.up), level * jnp.sin(self.up), jnp.sin(self.elevation)
+        up = x.frame.to_frame(jnp.stack([jnp.asarray(a, float) for a in axes]))
+        per_length = self.g / (1.0 + x.strain)
+        lift = jnp.zeros_like(per_length) if s.area is None else self.density * s.area * per_length
+        n, b = (arm * lift for arm in self.buoyancy_arm)
+        arm = Vec(jnp.zeros_like(lift), n, b)
+        return SpatialLoad(up.times(lift - s.linear_density * per_length), arm.cross(up))

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.spatial import SpatialLoad, Vec
 from slider_jax.effects.base import ForceDensity, parameter
 
 
@@ -11,6 +12,11 @@ class NormalDrag(ForceDensity):
     """Drag of the flow across the body. The flow separates from the body.
 
         F_n = -rho C_d H |u_n| u_n / 2
+
+    In space, the width W of the section resists motion along b, and a plate resists roll. The roll
+    w is relative to the water:
+
+        F_b = -rho C_d W |u_b| u_b / 2,    C_tau = -rho C_d H^4 |w| w / 64
 
     H is the height of the robot and u_n the lateral velocity relative to the water. Source: Taylor,
     G. (1952), Analysis of the swimming of long and narrow animals, Proc. R. Soc. A 214, 158-183;
@@ -30,3 +36,11 @@ class NormalDrag(ForceDensity):
     def force(self, x):
         F_n = -0.5 * self.density * self.C_d * x.height * jnp.abs(x.u_n) * x.u_n
         return jnp.zeros_like(F_n), F_n
+
+    def load_in_space(self, x):
+        s, unit = x.structure, 0.5 * self.density * self.C_d
+        zero, w = jnp.zeros_like(x.u.n), x.slip
+        F_n = -unit * s.height * jnp.abs(x.u.n) * x.u.n
+        F_b = -unit * s.width * jnp.abs(x.u.b) * x.u.b
+        couple = -unit / 32.0 * s.height**4 * jnp.abs(w) * w
+        return SpatialLoad(Vec(zero, F_n, F_b), Vec(couple, zero, zero))

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.spatial import no_load
 from slider_jax.effects.base import ForceDensity, parameter
 
 
@@ -29,6 +30,13 @@ class HeadDrag(ForceDensity):
     """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
-        at_head = jnp.where(x.s == x.s[-1], 1.0 / x.ds, 0.0)
-        F_tau = -0.5 * self.density * self.area * jnp.abs(x.u_tau) * x.u_tau * at_head
+        F_tau = self._along(x.u_tau, x.s, x.ds)
         return F_tau, jnp.zeros_like(F_tau)
+
+    def load_in_space(self, x):
+        F_tau, zero = self._along(x.u.tau, x.structure.s, x.structure.ds), no_load(x)
+        return zero._replace(force=zero.force._replace(tau=F_tau))
+
+    def _along(self, u_tau, s, ds):
+        at_head = jnp.where(s == s[-1], 1.0 / ds, 0.0)
+        return -0.5 * self.density * self.area * jnp.abs(u_tau) * u_tau * at_head

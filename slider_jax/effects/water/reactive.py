@@ -3,8 +3,10 @@
 import math
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.spatial import SpatialLoad, Vec
 from slider_jax.effects.base import ForceDensity, parameter
 
 
@@ -29,13 +31,24 @@ class ReactiveForce(ForceDensity):
     the height H. The force omits the pressure gradient of the accelerating water on the displaced
     volume (Froude-Krylov force rho A DU/Dt, with the cross-section A), also in uniform water.
 
+    In space, the section is an ellipse of the height H and the width W; W = 0 is a plate. Its added
+    masses are m_n = m_A and m_b = m_a pi rho W^2/4, and its added moment of inertia about tau is
+    J_A = m_a pi rho (H^2 - W^2)^2/128. With P = m_n u_n n + m_b u_b b, the roll w relative to the
+    water (`SpatialSection.slip`), the energy E = (m_n u_n^2 + m_b u_b^2 + J_A w^2)/2 per length and
+    c_r = -d(J_A w)/dt + d(u_tau J_A w)/ds, force and couple are
+
+        f = -dP/dt + d(u_tau P - E tau)/ds + (J_A w dw/ds - c_r Omega_tau) tau
+        c = (c_r + (m_n - m_b) u_n u_b) tau                                   (Munk's moment)
+
     If H is uniform, dm_A/ds = 0. `HeadAddedMass` adds the point force at a blunt
     head; docs/explanation/decisions.md explains why the base model omits this force.
 
     Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
     R. Soc. B 179, 125-138; the equations for F_a of the paper in `slider_jax.paper`. Nonuniform
     water: Candelier, F., Porez, M. and Boyer, F. (2013), Note on the swimming of an elongated body
-    in a non-uniform flow, J. Fluid Mech. 716, 616-637.
+    in a non-uniform flow, J. Fluid Mech. 716, 616-637. In space: Candelier, F., Boyer, F. and
+    Leroyer, A. (2011), Three-dimensional extension of Lighthill's large-amplitude elongated-body
+    theory of fish locomotion, J. Fluid Mech. 674, 196-226.
     """
 
     title = "reactive force of the added mass"
@@ -62,3 +75,30 @@ class ReactiveForce(ForceDensity):
             refraction = m_A * x.u_n * x.U_n_gradient
             F_tau, F_n = F_tau - refraction[0], F_n - refraction[1]
         return F_tau - m_A_s * x.u_n**2 / 2.0, F_n + m_A_s * x.u_tau * x.u_n
+
+    def load_in_space(self, x):
+        s, u, w = x.structure, x.u, x.slip
+        unit = self.m_a * math.pi * self.density
+        m_n, m_b = unit * s.height**2 / 4.0, unit * s.width**2 / 4.0
+        m_n_s, m_b_s = unit * s.height * s.height_s / 2.0, unit * s.width * s.width_s / 2.0
+        difference = s.height**2 - s.width**2
+        J = unit * difference**2 / 128.0
+        J_s = unit * difference * (s.height * s.height_s - s.width * s.width_s) / 32.0
+        zero = jnp.zeros_like(w)
+        P = Vec(zero, m_n * u.n, m_b * u.b)
+        P_t = Vec(zero, m_n * x.u_t.n, m_b * x.u_t.b).plus(x.omega.cross(P))
+        E = 0.5 * (m_n * u.n**2 + m_b * u.b**2 + J * w**2)
+        E_s = m_n * u.n * x.u_s.n + m_b * u.b * x.u_s.b + J * w * x.slip_s
+        E_s = E_s + 0.5 * (m_n_s * u.n**2 + m_b_s * u.b**2 + J_s * w**2)
+        flux = Vec(-E, u.tau * P.n, u.tau * P.b)
+        flux_s = Vec(
+            -E_s,
+            x.u_s.tau * P.n + u.tau * (m_n * x.u_s.n + m_n_s * u.n),
+            x.u_s.tau * P.b + u.tau * (m_b * x.u_s.b + m_b_s * u.b),
+        ).plus(x.curvature.cross(flux))
+        H_s = J * x.slip_s + J_s * w
+        c_r = -J * x.slip_t + x.u_s.tau * J * w + u.tau * H_s
+        along = J * w * x.slip_s - c_r * x.curvature.tau
+        force = flux_s.minus(P_t)
+        couple = c_r + (m_n - m_b) * u.n * u.b
+        return SpatialLoad(Vec(force.tau + along, force.n, force.b), Vec(couple, zero, zero))

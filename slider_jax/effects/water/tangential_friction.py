@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.spatial import no_load
 from slider_jax.effects.base import ForceDensity, parameter
 
 
@@ -28,5 +29,12 @@ class TangentialFriction(ForceDensity):
     """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
-        F_tau = -self.density * self.C_t * x.height * jnp.abs(x.u_tau) * x.u_tau
+        F_tau = self._along(x.u_tau, x.height)
         return F_tau, jnp.zeros_like(F_tau)
+
+    def load_in_space(self, x):
+        zero = no_load(x)
+        return zero._replace(force=zero.force._replace(tau=self._along(x.u.tau, x.height)))
+
+    def _along(self, u_tau, height):
+        return -self.density * self.C_t * height * jnp.abs(u_tau) * u_tau

@@ -1,0 +1,179 @@
+"""The residual and the Jacobian of one implicit stage in three dimensions.
+
+The unknowns per node are T, M, V and theta. theta [rad] is the rotation vector from the frame at
+the start of the step to the present frame. The frame is stored between the steps, so the rotation
+in a step stays small and no singularity of a rotation vector can occur.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slider_jax.beam.spatial import (
+    Quaternion,
+    SpatialFields,
+    SpatialReference,
+    SpatialSection,
+    SpatialStructure,
+    Turning,
+    Vec,
+    equations_in_space,
+    rotation_vector,
+    section_in_space,
+    turned,
+    turning_of,
+)
+from slider_jax.dynamics.block_solver import BeamOperator
+from slider_jax.effects import Effect
+from slider_jax.effects.base import total_load
+from slider_jax.supports import Support
+
+
+class SpatialStage(eqx.Module):
+    """The quantities that are constant while a stage is solved.
+
+    `frame` (4, nodes) are the quaternions at the start of the step. `theta` (3, nodes) [rad] are
+    the reference values of theta. `water` contains velocity [m/s] and acceleration [m/s^2] of the
+    water, each (x, y, z).
+    """
+
+    structure: SpatialStructure
+    effects: tuple[Effect, ...]
+    support: Support
+    reference: SpatialReference
+    frame: Quaternion
+    theta: Vec
+    active_moment: Vec
+    water: Float[Array, "2 3"]
+    t: Array
+
+
+def vectors(y: Float[Array, "rows n"]) -> list[Vec]:
+    """Returns the vectors in `y`, three rows for each; the unknowns are T, M, V and theta."""
+    return [Vec(*y[i : i + 3]) for i in range(0, len(y), 3)]
+
+
+def at(tree, where):
+    """Returns the entries `where` along the last axis of every array."""
+    return jax.tree.map(lambda x: x[..., where], tree)
+
+
+_keep = jax.lax.optimization_barrier
+LEFT, RIGHT = slice(None, -1), slice(1, None)
+
+
+def frame_and_omega(theta: Vec, stage: SpatialStage, where=slice(None)) -> tuple[Quaternion, Vec]:
+    """Returns frame and omega [rad/s] of the nodes `where` from their theta [rad]."""
+    rate = theta.minus(at(stage.theta, where)).times(1.0 / stage.reference.dt)
+    return at(stage.frame, where).after(turned(theta)), turning_of(theta, rate)
+
+
+def turning_in_cells(left: Vec, right: Vec, stage: SpatialStage) -> Turning:
+    """Returns the rotations in the cells from theta at their left and right nodes."""
+    (p, before), (q, after) = (
+        frame_and_omega(theta, stage, where) for theta, where in ((left, LEFT), (right, RIGHT))
+    )
+    turn = rotation_vector(p.inverse().after(q))
+    return Turning(
+        before.plus(after).times(0.5),
+        turn.times(1.0 / stage.structure.ds),
+        p.after(turned(turn.times(0.5))),
+    )
+
+
+def means_and_slopes(y: Float[Array, "12 nodes"], ds) -> tuple[SpatialFields, SpatialFields]:
+    """Returns means and slopes of T, M and V in each cell."""
+    left, right = y[:9, :-1], y[:9, 1:]
+    mean, slope = 0.5 * (left + right), (right - left) / ds
+    return SpatialFields(*vectors(mean)), SpatialFields(*vectors(slope))
+
+
+@eqx.filter_jit
+def spatial_cell_rows(
+    mid: SpatialFields, slope: SpatialFields, turning: Turning, stage: SpatialStage
+) -> tuple[Array, ...]:
+    """Returns the residuals of the twelve equations of each cell."""
+    x = _section(mid, slope, turning, stage)
+    load = total_load(stage.effects, x)
+    return equations_in_space(mid, slope, x, stage.reference, stage.active_moment, load)
+
+
+def _section(mid, slope, turning, stage: SpatialStage) -> SpatialSection:
+    return section_in_space(
+        mid, slope, turning, stage.structure, stage.reference, stage.water, stage.t
+    )
+
+
+def sections(y: Float[Array, "12 nodes"], stage: SpatialStage) -> SpatialSection:
+    """Returns the local state of the body in each cell."""
+    theta = vectors(y)[3]
+    turning = turning_in_cells(at(theta, LEFT), at(theta, RIGHT), stage)
+    return _section(*means_and_slopes(y, stage.structure.ds), turning, stage)
+
+
+def head_conditions(head: Float[Array, "12"], stage: SpatialStage) -> Float[Array, "6"]:
+    """Returns the residuals of the support's conditions."""
+    T, M, V, theta = vectors(head)
+    frame, omega = frame_and_omega(theta, stage, -1)
+    rows = stage.support.rows_in_space(SpatialFields(T, M, V), frame, omega, stage.t)
+    return jnp.stack(rows)
+
+
+def spatial_residual(y: Float[Array, "12 nodes"], stage: SpatialStage):
+    """Returns the residuals ((12, cells), (6,), (6,)) of cells, tail and head."""
+    theta = vectors(y)[3]
+    turning = turning_in_cells(at(theta, LEFT), at(theta, RIGHT), stage)
+    cells = spatial_cell_rows(*means_and_slopes(y, stage.structure.ds), turning, stage)
+    return jnp.stack(cells), y[:6, 0], head_conditions(y[:, -1], stage)
+
+
+def _columns(function, values: Float[Array, "n cells"]) -> Float[Array, "rows n cells"]:
+    """Returns the derivatives of `function(values)`, which treats each cell alike."""
+
+    def column(direction):
+        along = jnp.broadcast_to(direction[:, None], values.shape)
+        return jax.jvp(function, (values,), (along,))[1]
+
+    return jax.vmap(column, out_axes=1)(jnp.eye(len(values), dtype=values.dtype))
+
+
+def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOperator:
+    """Returns the blocks of d(residual)/dy.
+
+    The rows depend on means and slopes of T, M and V, and on omega, Omega and a small rotation of
+    the frame. The rotations depend on theta at the two nodes of the cell.
+    """
+    ds = stage.structure.ds
+    mid, slope = means_and_slopes(y, ds)
+    ends = jnp.concatenate([y[9:, :-1], y[9:, 1:]])
+
+    def turning_of_ends(thetas):
+        return turning_in_cells(*vectors(thetas), stage)
+
+    turning = turning_of_ends(ends)
+    middle = turning.frame
+
+    def rotations(thetas):
+        found = turning_of_ends(thetas)
+        # The middle frame, relative to the present one, as a small rotation vector.
+        small = rotation_vector(middle.inverse().after(found.frame))
+        return jnp.stack([*found.omega, *found.curvature, *small])
+
+    def rows(values):
+        v = vectors(values)
+        moved = middle.after(turned(v[8]))
+        fields = SpatialFields(*v[:3]), SpatialFields(*v[3:6])
+        return jnp.stack(spatial_cell_rows(*fields, Turning(v[6], v[7], moved), stage))
+
+    parts = jax.tree.leaves((mid, slope, turning.omega, turning.curvature))
+    values = jnp.stack([*parts, *[jnp.zeros_like(ds)] * 3])
+    by_value, by_theta = _keep((_columns(rows, values), _columns(rotations, ends)))
+    to_mid, to_slope = 0.5 * by_value[:, :9], by_value[:, 9:18] / ds
+    to_theta = sum(by_value[:, 18 + k, None] * by_theta[None, k] for k in range(9))
+    return BeamOperator(
+        left=jnp.concatenate([to_mid - to_slope, to_theta[:, :3]], axis=1),
+        right=jnp.concatenate([to_mid + to_slope, to_theta[:, 3:]], axis=1),
+        tail=jnp.eye(6, 12, dtype=y.dtype),
+        head=jax.jacfwd(head_conditions)(y[:, -1], stage),
+    )

@@ -1,0 +1,358 @@
+"""Time steps and series of time steps of a robot in three dimensions."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float
+
+from slider_jax.beam.parameters import Numerics, scales_of
+from slider_jax.beam.spatial import (
+    Quaternion,
+    SpatialReference,
+    SpatialSection,
+    Vec,
+    rotation_vector,
+    strain_in_space,
+    turned,
+    unit,
+)
+from slider_jax.dynamics.model import Model
+from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
+from slider_jax.dynamics.pressures import Chambers, chamber_history, start_chambers
+from slider_jax.dynamics.rollout import TimeGrid
+from slider_jax.dynamics.time_schemes import SDIRK2, Scheme, extrapolation
+from slider_jax.effects.base import BodyChange, in_space
+from slider_jax.spatial.mesh import SpatialMesh, spatial_mesh
+from slider_jax.spatial.residual import (
+    LEFT,
+    RIGHT,
+    SpatialStage,
+    at,
+    frame_and_omega,
+    sections,
+    spatial_jacobian,
+    spatial_residual,
+    turning_in_cells,
+    vectors,
+)
+from slider_jax.water import WaterField
+
+
+class SpatialMemory(eqx.Module):
+    """Values that one stage passes to the next one, to compute time derivatives.
+
+    `V` [m/s], `omega` [rad/s] and `theta` [rad] (3, nodes), `curvature` (3, cells) [1/m], `strain`
+    (cells,) [-] and position `head` (3,) [m]. theta is relative to the start of the step.
+    """
+
+    V: Float[Array, "3 nodes"]
+    omega: Float[Array, "3 nodes"]
+    theta: Float[Array, "3 nodes"]
+    curvature: Float[Array, "3 cells"]
+    strain: Float[Array, " cells"]
+    head: Float[Array, "3"]
+
+
+class SpatialCarry(eqx.Module):
+    """The state that one step passes to the next step."""
+
+    history: Float[Array, "3 9 nodes"]
+    """T, M and V of the last three solutions, oldest first."""
+    frames: Float[Array, "3 4 nodes"]
+    """Quaternions of the frames of the last three solutions."""
+    twist: Float[Array, "3 cells"]
+    """Twist [1/m] of the last three solutions."""
+    memory: SpatialMemory
+    chambers: Chambers
+    ok: Bool[Array, ""]
+    """False after a stage did not converge; from this stage on, the state remains frozen."""
+    factorisations: Array
+    """Number of factorisations of the Jacobian so far."""
+    failed_at: Array
+    """Time [s] of the failed stage; inf if no stage failed."""
+
+
+class SpatialSnapshot(eqx.Module):
+    """The robot at the end of a step, from which observables are computed."""
+
+    t: Array
+    y: Float[Array, "12 nodes"]
+    frame: Float[Array, "4 nodes"]
+    """Quaternions of the frames."""
+    memory: SpatialMemory
+    stage: SpatialStage
+    mesh: SpatialMesh
+    chambers: Chambers
+
+    def section(self) -> SpatialSection:
+        """Returns the local state of the body in each cell."""
+        return sections(self.y, self.stage)
+
+    def positions(self) -> Float[Array, "3 nodes"]:
+        """Returns the positions (x, y, z) [m] of the nodes, integrated backwards from the head."""
+        q = Quaternion(*self.frame)
+        left, right = at(q, LEFT), at(q, RIGHT)
+        half = turned(rotation_vector(left.inverse().after(right)).times(0.5))
+        length = (1.0 + self.memory.strain) * self.mesh.grid.ds
+        zero = jnp.zeros_like(length)
+        steps = left.after(half).to_space(Vec(length, zero, zero))
+        behind = jnp.cumsum(steps[:, ::-1], axis=1)[:, ::-1]
+        none = jnp.zeros((3, 1), behind.dtype)
+        return self.memory.head[:, None] - jnp.concatenate([behind, none], axis=1)
+
+
+class SpatialRollout(eqx.Module):
+    """Result of a rollout: times [s], quantities saved at each step, final carry, and mesh."""
+
+    t: Float[Array, " steps"]
+    saved: Any
+    final: SpatialCarry
+    mesh: SpatialMesh
+
+    @property
+    def ok(self):
+        """Whether every step converged."""
+        return self.final.ok
+
+
+def check_in_space(model: Model) -> None:
+    """Raises `ValueError` if the model contains something that is defined in the plane only."""
+    wrong = [effect.name() for effect in model.effects if not in_space(effect)]
+    if wrong:
+        raise ValueError(
+            f"a robot in three dimensions: given the effects {', '.join(wrong)}, which are defined "
+            "in the plane only; remove them or use two dimensions"
+        )
+    if model.actuators:
+        raise ValueError("a robot in three dimensions has chambers, and no other actuators yet")
+    if isinstance(model.water, WaterField):
+        raise ValueError("a robot in three dimensions needs uniform water")
+    if model.robot.stiffening is not None:
+        raise ValueError("a robot in three dimensions has no stiffening by pressure yet")
+
+
+def _scales(model: Model) -> Float[Array, "12 1"]:
+    force, _, moment, speed, _, angle = scales_of(model.body)
+    return jnp.stack([*[force] * 3, *[moment] * 3, *[speed] * 3, *[angle] * 3])
+
+
+def _space(x) -> Float[Array, "..."]:
+    """Returns the vector in space of (x, y) components in the horizontal plane."""
+    return jnp.concatenate([x, jnp.zeros_like(x[..., :1])], axis=-1)
+
+
+def make_spatial_step(
+    model: Model, mesh: SpatialMesh, numerics: Numerics, scheme: Scheme, angles: Array
+):
+    """Returns the function that advances a `SpatialCarry` by one step; see `make_step`."""
+    solver = BeamNewton(rtol=numerics.tolerance)
+    scale = _scales(model)
+    predict = jnp.asarray(extrapolation(scheme))
+    nodes, weights = jnp.asarray(scheme.nodes), jnp.asarray(scheme.weights)
+    grid = mesh.grid
+    zero = jnp.zeros_like(grid.ds)
+
+    def mean_of(x: Float[Array, "3 nodes"]) -> Vec:
+        return Vec(*grid.mid(x))
+
+    def run_stage(base: SpatialMemory, start: Quaternion, support, h, carry, stage_inputs):
+        t, weight, predictor, chambers = stage_inputs
+        memory = jax.tree.map(lambda b, q: b + weight * (q - b), base, carry.memory)
+        dt = scheme.gamma * h
+        slope = jnp.gradient(predictor @ carry.twist, grid.mid(grid.s))
+        reference = SpatialReference(
+            V=mean_of(memory.V),
+            omega=mean_of(memory.omega),
+            curvature=Vec(*memory.curvature),
+            strain=memory.strain,
+            twist_slope=slope,
+            dt=dt,
+        )
+        couples = chambers.acting @ (mesh.chambers * jnp.cos(angles)[:, None])
+        sideways = chambers.acting @ (mesh.chambers * jnp.sin(angles)[:, None])
+        water = jnp.stack(jax.jvp(model.water_velocity, (t,), (jnp.ones_like(t),)))
+        stage = SpatialStage(
+            structure=mesh.structure,
+            effects=model.effects,
+            support=support,
+            reference=reference,
+            frame=start,
+            theta=Vec(*memory.theta),
+            active_moment=Vec(zero, -sideways, couples),
+            water=_space(water),
+            t=t,
+        )
+
+        def theta_of(frames):
+            return jnp.stack(rotation_vector(start.inverse().after(Quaternion(*frames))))
+
+        known = jnp.concatenate([carry.history, jax.vmap(theta_of)(carry.frames)], axis=1)
+        solution = optx.root_find(
+            spatial_residual,
+            solver,
+            jnp.tensordot(predictor, known, 1),
+            args=stage,
+            options={"jacobian": spatial_jacobian, "scale": scale, "skip": ~carry.ok},
+            max_steps=numerics.max_newton,
+            adjoint=BeamAdjoint(),
+            throw=False,
+        )
+        converged = solution.result == optx.RESULTS.successful
+        ok = carry.ok & converged
+        y = jnp.where(ok, solution.value, known[-1])
+        _, _, V, theta = vectors(y)
+        frame, omega = frame_and_omega(theta, stage)
+        frame = unit(frame)
+        turning = turning_in_cells(at(theta, LEFT), at(theta, RIGHT), stage)
+        arm = support.anchor_in_space(t)
+        head_frame, head_omega = at(frame, -1), at(omega, -1)
+        anchor_speed = head_frame.to_space(at(V, -1).plus(head_omega.cross(arm)))
+        anchor = memory.head + dt * anchor_speed
+        solved = SpatialMemory(
+            V=jnp.stack(V),
+            omega=jnp.stack(omega),
+            theta=jnp.stack(theta),
+            curvature=jnp.stack(turning.curvature),
+            strain=strain_in_space(grid.mid(y[0]), mesh.structure, reference),
+            head=anchor,
+        )
+        state = jax.tree.map(lambda a, b: jnp.where(ok, a, b), solved, carry.memory)
+        quaternions = jnp.where(ok, jnp.stack(frame), carry.frames[-1])
+
+        def appended(series, last):
+            return jnp.concatenate([series[1:], last[None]])
+
+        new = SpatialCarry(
+            history=appended(carry.history, y[:9]),
+            frames=appended(carry.frames, quaternions),
+            twist=appended(carry.twist, state.curvature[0]),
+            memory=state,
+            chambers=chambers,
+            ok=ok,
+            factorisations=carry.factorisations + solution.stats["num_steps"],
+            failed_at=jnp.where(carry.ok & ~converged, t, carry.failed_at),
+        )
+        return new, (stage, y)
+
+    def step(carry: SpatialCarry, inputs):
+        t_start, h, chambers = inputs
+        support = model.support.during(t_start, t_start + h)
+        start = Quaternion(*carry.frames[-1])
+        # The integrated point is the reference point of the support, not the head.
+        offset = at(start, -1).to_space(support.anchor_in_space(t_start))
+        base = eqx.tree_at(
+            lambda m: (m.theta, m.head),
+            carry.memory,
+            (jnp.zeros_like(carry.memory.theta), carry.memory.head + offset),
+        )
+        carry = eqx.tree_at(lambda c: c.memory, carry, base)
+
+        def body(state, stage_inputs):
+            inner, _ = state
+            return run_stage(base, start, support, h, inner, stage_inputs), None
+
+        rows = (t_start + nodes * h, weights, predict, chambers)
+        first = jax.tree.map(lambda x: x[0], rows)
+        empty = jax.eval_shape(lambda c, r: run_stage(base, start, support, h, c, r), carry, first)
+        placeholder = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), empty[1])
+        (carry, (stage, y)), _ = jax.lax.scan(body, (carry, placeholder), rows)
+        last = Quaternion(*carry.frames[-1])
+        end = at(last, -1).to_space(support.anchor_in_space(t_start + h))
+        carry = eqx.tree_at(lambda c: c.memory.head, carry, carry.memory.head - end)
+        snapshot = SpatialSnapshot(
+            t_start + h, y, carry.frames[-1], carry.memory, stage, mesh, carry.chambers
+        )
+        return carry, snapshot
+
+    return step
+
+
+def at_rest_in_space(
+    model: Model, numerics: Numerics, t0=0.0, attitude: Quaternion | None = None
+) -> SpatialCarry:
+    """Returns the carry of an unloaded straight body at rest relative to its support at `t0` [s].
+
+    `attitude` is the frame of the body before the support turns it about z; by default, tau is
+    along x and b along z.
+    """
+    t = jnp.asarray(t0, float)
+    velocity, angle, rate = model.support.start(t)
+    one = jnp.ones_like(t)
+    own = Quaternion(one, 0.0 * one, 0.0 * one, 0.0 * one) if attitude is None else attitude
+    about_z = turned(Vec(0.0 * one, 0.0 * one, jnp.asarray(angle, float)))
+    frame = about_z.after(own)
+    mesh = spatial_mesh(model.body, numerics)
+    s = mesh.grid.s
+    zero = jnp.zeros_like(s)
+    turning = frame.to_frame(jnp.stack([0.0 * one, 0.0 * one, rate * one]))
+    ahead = frame.to_frame(_space(jnp.stack([jnp.asarray(v, float) for v in velocity])))
+    behind = turning.cross(Vec(s - s[-1], zero, zero))
+    V = jnp.stack(ahead.plus(behind)) + 0.0 * s
+    omega = jnp.stack(turning)[:, None] + 0.0 * s
+    memory = SpatialMemory(
+        V=V,
+        omega=omega,
+        theta=jnp.zeros_like(V),
+        curvature=jnp.zeros_like(V[:, 1:]),
+        strain=zero[1:],
+        head=jnp.zeros(3),
+    )
+    y = jnp.concatenate([jnp.zeros((6, len(s))), V])
+    frames = jnp.stack(frame)[:, None] + 0.0 * s
+    return SpatialCarry(
+        history=jnp.broadcast_to(y, (3, *y.shape)),
+        frames=jnp.broadcast_to(frames, (3, *frames.shape)),
+        twist=jnp.zeros((3, len(s) - 1)),
+        memory=memory,
+        chambers=start_chambers(model),
+        ok=jnp.asarray(True),
+        factorisations=jnp.asarray(0),
+        failed_at=jnp.asarray(np.inf),
+    )
+
+
+def spatial_rollout(
+    model: Model,
+    times: TimeGrid,
+    save: Callable[[SpatialSnapshot], Any],
+    numerics: Numerics = Numerics(),
+    scheme: Scheme = SDIRK2,
+    *,
+    angles: Float[Array, " chambers"] | None = None,
+    begin: SpatialCarry | None = None,
+    checkpoint: bool = True,
+) -> SpatialRollout:
+    """Integrates `model` in three dimensions; see `dynamics.rollout.rollout`.
+
+    `angles` (chambers,) [rad] are the directions of the chambers around the axis, from n towards b.
+    At 0, a chamber bends the body in its plane (tau, n), as in two dimensions. The water is
+    uniform. Raises `ValueError` for a model that contains something of the plane only.
+    """
+    check_in_space(model)
+    mesh = spatial_mesh(model.body, numerics)
+    if begin is None:
+        begin = at_rest_in_space(model, numerics, times.t0)
+    if angles is None:
+        angles = jnp.zeros(len(mesh.chambers))
+    begins = times.t0 + times.h * jnp.arange(float(times.steps))
+    instants = begins[:, None] + times.h * jnp.asarray(scheme.nodes)  # (steps, stages)
+    instants = jnp.concatenate([jnp.asarray(times.t0, instants.dtype)[None], instants.ravel()])
+    chambers = chamber_history(model, begin.chambers, instants)
+    shape = (times.steps, scheme.stages)
+    stages = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), chambers)
+    step = make_spatial_step(model, mesh, numerics, scheme, jnp.asarray(angles, float))
+
+    def body(carry, inputs):
+        t, chambers = inputs
+        carry, snapshot = step(carry, (t, jnp.asarray(times.h), chambers))
+        return carry, save(snapshot)
+
+    if checkpoint:
+        body = jax.checkpoint(body, prevent_cse=False)
+    final, saved = jax.lax.scan(body, begin, (begins, stages))
+    return SpatialRollout(times.times, saved, final, mesh)
