@@ -17,7 +17,7 @@ LAYERS = [
     {"slider_jax.io", "slider_jax.actuation", "slider_jax.supports", "slider_jax.water"},
     {"slider_jax.effects", "slider_jax.rod"},
     {"slider_jax.dynamics"},
-    {"slider_jax.observables", "slider_jax.paper"},
+    {"slider_jax.observables", "slider_jax.paper", "slider_jax.spatial"},
     {"slider_jax.channels"},
     {"slider_jax.experiment"},
     {"slider_jax.simulation", "slider_jax.statics"},

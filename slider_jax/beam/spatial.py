@@ -92,61 +92,69 @@ def unit(q: Quaternion) -> Quaternion:
     return Quaternion(*(component * scale for component in q))
 
 
-_SMALL = 1e-3
-"""Squared angle [rad^2] below which power series replace the closed forms; their error is 1e-16."""
+def _series(x: Array, ratios: tuple[float, ...]) -> Array:
+    """Returns 1 + r_1 x (1 + r_2 x (1 + ...)) with the `ratios` r of successive terms."""
+    total = jnp.ones_like(x)
+    for ratio in reversed(ratios):
+        total = 1.0 + ratio * x * total
+    return total
+
+
+def _factorials(first: int) -> tuple[float, ...]:
+    """Returns the ratios of the terms (-x)^k first!/(2 k + first)!."""
+    return tuple(-1.0 / ((first + 2 * k - 1) * (first + 2 * k)) for k in range(1, 14))
+
+
+_COSINE, _SINE, _SECOND, _THIRD = (_factorials(first) for first in range(4))
+"""cos(a), sin(a)/a, 2 (1 - cos a)/a^2 and 6 (a - sin a)/a^3 as series in a^2.
+
+For angles up to pi, the error is a rounding error. A series has no singular point at zero, where
+the closed forms divide by zero, and costs less than a sine.
+"""
+_ARCSINE = tuple((2 * k - 1) ** 2 / (2 * k * (2 * k + 1)) for k in range(1, 14))
+"""asin(s)/s as a series in s^2."""
 
 
 def _square(v: Vec) -> Array:
     return v.tau * v.tau + v.n * v.n + v.b * v.b
 
 
-def _by_size(square: Array, series, closed) -> Array:
-    """Returns `series(square)` for small squares, and `closed(angle)` otherwise."""
-    small = square < _SMALL
-    angle = jnp.sqrt(jnp.where(small, 1.0, square))
-    return jnp.where(small, series(square), closed(angle))
-
-
 def turned(v: Vec) -> Quaternion:
-    """Returns the quaternion of the rotation vector `v` [rad]."""
-    q = _square(v)
-    w = _by_size(q, lambda q: 1 - q / 8 * (1 - q / 48 * (1 - q / 120)), lambda a: jnp.cos(a / 2))
-    s = _by_size(
-        q,
-        lambda q: 0.5 - q / 48 * (1 - q / 80 * (1 - q / 168)),
-        lambda a: jnp.sin(a / 2) / a,
-    )
-    return Quaternion(w, *v.times(s))
+    """Returns the quaternion of the rotation vector `v` [rad], for angles up to 2 pi."""
+    x = 0.25 * _square(v)
+    return Quaternion(_series(x, _COSINE), *v.times(0.5 * _series(x, _SINE)))
 
 
 def rotation_vector(q: Quaternion) -> Vec:
-    """Returns the rotation vector [rad] of a quaternion, for angles below pi."""
+    """Returns the rotation vector [rad] of a quaternion, for angles up to 2 rad."""
+    # Two half angles: with sin(a/8), the series of the arc sine converges fast.
     v = Vec(q.x, q.y, q.z)
-    square = _square(v)
-    # The angle is 2 asin(|v|) if w is positive, and atan2 gives it for every w.
-    small = square < 0.25 * _SMALL
-    size = jnp.sqrt(jnp.where(small, 1.0, square))
-    series = 2 + square / 3 * (1 + square * 9 / 20 * (1 + square * 25 / 42 * (1 + square * 49 / 72)))
-    factor = jnp.where(small & (q.w > 0.0), series, 2 * jnp.arctan2(size, q.w) / size)
-    return v.times(factor)
+    half = jnp.sqrt(0.5 * (1.0 + q.w))
+    quarter = jnp.sqrt(0.5 * (1.0 + half))
+    scale = 0.25 / (half * quarter)
+    return v.times(8.0 * scale * _series(_square(v) * scale**2, _ARCSINE))
 
 
 def turning_of(v: Vec, rate: Vec) -> Vec:
     """Returns the rate of turning omega, in the turned frame, of a rotation vector `v` [rad].
 
-    omega = rate - (1 - cos a)/a^2 v x rate + (a - sin a)/a^3 v x (v x rate), with a = |v|.
+    omega = rate - (1 - cos a)/a^2 v x rate + (a - sin a)/a^3 v x (v x rate), with a = |v| <= pi.
     """
-    q = _square(v)
-    second = _by_size(
-        q, lambda q: 0.5 - q / 24 * (1 - q / 30 * (1 - q / 56)), lambda a: (1 - jnp.cos(a)) / a**2
-    )
-    third = _by_size(
-        q,
-        lambda q: (1 - q / 20 * (1 - q / 42 * (1 - q / 72))) / 6,
-        lambda a: (a - jnp.sin(a)) / a**3,
-    )
+    x = _square(v)
     across = v.cross(rate)
-    return rate.minus(across.times(second)).plus(v.cross(across).times(third))
+    twice = v.cross(across).times(_series(x, _THIRD) / 6.0)
+    return rate.minus(across.times(0.5 * _series(x, _SECOND))).plus(twice)
+
+
+_BERNOULLI = (1 / 60, 1 / 42, 1 / 40, 5 / 198, 691 / 27300, 210 / 8292, 3617 / 142800)
+"""Ratios of the terms of 12 (1 - (a/2) cot(a/2))/a^2 as a series in a^2; later ratios are 1/39.5."""
+
+
+def rate_of(v: Vec, omega: Vec) -> Vec:
+    """Returns the rate of a rotation vector `v` [rad] from omega: the inverse of `turning_of`."""
+    across = v.cross(omega)
+    c = _series(_square(v), (*_BERNOULLI, *[1.0 / (4.0 * jnp.pi**2)] * 7)) / 12.0
+    return omega.plus(across.times(0.5)).plus(v.cross(across).times(c))
 
 
 class SpatialStructure(eqx.Module):

@@ -19,8 +19,10 @@ from slider_jax.beam.spatial import (
     Turning,
     Vec,
     equations_in_space,
+    rate_of,
     rotation_vector,
     section_in_space,
+    strain_in_space,
     turned,
     turning_of,
 )
@@ -138,42 +140,85 @@ def _columns(function, values: Float[Array, "n cells"]) -> Float[Array, "rows n 
     return jax.vmap(column, out_axes=1)(jnp.eye(len(values), dtype=values.dtype))
 
 
+def _by_theta(
+    theta: Float[Array, "3 nodes"], turning: Turning, stage: SpatialStage
+) -> Float[Array, "9 6 cells"]:
+    """Returns the derivatives of omega, Omega and the small rotation of the middle by theta.
+
+    A change of theta turns the frame of its node by psi = `turning_of`(theta, change). The turn v
+    between the two nodes of a cell then changes by rate_of(v, psi_right) - rate_of(-v, psi_left).
+    """
+    units = jnp.eye(3, dtype=theta.dtype)[:, :, None]
+    psi = turning_of(Vec(*theta), Vec(*units))
+    omega = _columns(lambda x: jnp.stack(frame_and_omega(Vec(*x), stage)[1]), theta)
+    ds = stage.structure.ds
+    turn = turning.curvature.times(ds)
+    half = turn.times(0.5)
+    before, after = at(psi, LEFT), at(psi, RIGHT)
+    left = rate_of(turn.times(-1.0), before).times(-1.0)
+    right = rate_of(turn, after)
+    in_middle = turned(half).to_frame(jnp.stack(before))
+    small = turning_of(half, left.times(0.5)).plus(in_middle), turning_of(half, right.times(0.5))
+    columns = [
+        jnp.concatenate([0.5 * w, jnp.stack(v) / ds, jnp.stack(m)])
+        for w, v, m in zip((omega[..., :-1], omega[..., 1:]), (left, right), small, strict=True)
+    ]
+    return jnp.concatenate(columns, axis=1)
+
+
+def _by_loads(
+    mid: SpatialFields, curvature: Vec, stage: SpatialStage
+) -> tuple[Float[Array, "12 5 cells"], Float[Array, "12 6 cells"]]:
+    """Returns the derivatives by the means of T_n, T_b and M, and by the slopes of T and M."""
+    one = jnp.ones_like(curvature.tau)
+    zero = 0.0 * one
+    # Columns of the matrix of -(Omega x).
+    along = [zero, -curvature.b, curvature.n]
+    across = [curvature.b, zero, -curvature.tau]
+    upward = [-curvature.n, curvature.tau, zero]
+    stretch = 1.0 + strain_in_space(mid.T.tau, stage.structure, stage.reference)
+    none, units = [zero] * 3, [[one, zero, zero], [zero, one, zero], [zero, zero, one]]
+    means = [
+        [*none, *none, *across, zero, zero, -stretch],
+        [*none, *none, *upward, zero, stretch, zero],
+        *([*none, *u, *none, *m] for u, m in zip(units, (along, across, upward), strict=True)),
+    ]
+    slopes = [[*none, *none, *(-x for x in u), *none] for u in units]
+    slopes += [[*none, *none, *none, *(-x for x in u)] for u in units]
+    return tuple(jnp.stack([jnp.stack(c) for c in x], axis=1) for x in (means, slopes))
+
+
 def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOperator:
     """Returns the blocks of d(residual)/dy.
 
     The rows depend on means and slopes of T, M and V, and on omega, Omega and a small rotation of
-    the frame. The rotations depend on theta at the two nodes of the cell.
+    the frame. The rotations depend on theta at the two nodes of the cell. `_by_loads` knows the
+    derivatives by T and M, except the one by the tension, which changes the strain.
     """
     ds = stage.structure.ds
     mid, slope = means_and_slopes(y, ds)
-    ends = jnp.concatenate([y[9:, :-1], y[9:, 1:]])
-
-    def turning_of_ends(thetas):
-        return turning_in_cells(*vectors(thetas), stage)
-
-    turning = turning_of_ends(ends)
+    theta = vectors(y)[3]
+    turning = turning_in_cells(at(theta, LEFT), at(theta, RIGHT), stage)
     middle = turning.frame
 
-    def rotations(thetas):
-        found = turning_of_ends(thetas)
-        # The middle frame, relative to the present one, as a small rotation vector.
-        small = rotation_vector(middle.inverse().after(found.frame))
-        return jnp.stack([*found.omega, *found.curvature, *small])
-
     def rows(values):
-        v = vectors(values)
-        moved = middle.after(turned(v[8]))
-        fields = SpatialFields(*v[:3]), SpatialFields(*v[3:6])
-        return jnp.stack(spatial_cell_rows(*fields, Turning(v[6], v[7], moved), stage))
+        V, V_s, omega, curvature, small = vectors(values[1:])
+        moved = middle.after(Quaternion(jnp.ones_like(ds), *small.times(0.5)))
+        here = mid._replace(T=mid.T._replace(tau=values[0]), V=V)
+        there = slope._replace(V=V_s)
+        return jnp.stack(spatial_cell_rows(here, there, Turning(omega, curvature, moved), stage))
 
-    parts = jax.tree.leaves((mid, slope, turning.omega, turning.curvature))
+    parts = (mid.T.tau, *mid.V, *slope.V, *turning.omega, *turning.curvature)
     values = jnp.stack([*parts, *[jnp.zeros_like(ds)] * 3])
-    by_value, by_theta = _keep((_columns(rows, values), _columns(rotations, ends)))
-    to_mid, to_slope = 0.5 * by_value[:, :9], by_value[:, 9:18] / ds
-    to_theta = sum(by_value[:, 18 + k, None] * by_theta[None, k] for k in range(9))
+    by_value, by_theta = _keep((_columns(rows, values), _by_theta(y[9:], turning, stage)))
+    of_loads, of_their_slopes = _by_loads(mid, turning.curvature, stage)
+    to_mid = jnp.concatenate([by_value[:, :1], of_loads, by_value[:, 1:4]], axis=1)
+    to_slope = jnp.concatenate([of_their_slopes, by_value[:, 4:7]], axis=1)
+    to_theta = sum(by_value[:, 7 + k, None] * by_theta[None, k] for k in range(9))
+    from_mid, from_slope = 0.5 * to_mid, to_slope / ds
     return BeamOperator(
-        left=jnp.concatenate([to_mid - to_slope, to_theta[:, :3]], axis=1),
-        right=jnp.concatenate([to_mid + to_slope, to_theta[:, 3:]], axis=1),
+        left=jnp.concatenate([from_mid - from_slope, to_theta[:, :3]], axis=1),
+        right=jnp.concatenate([from_mid + from_slope, to_theta[:, 3:]], axis=1),
         tail=jnp.eye(6, 12, dtype=y.dtype),
         head=jax.jacfwd(head_conditions)(y[:, -1], stage),
     )

@@ -1,0 +1,264 @@
+"""A robot in three dimensions: its planar limit, frequencies, decay, statics, order, derivatives."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.actuation import SineWave
+from slider_jax.beam.parameters import Numerics
+from slider_jax.beam.spatial import Quaternion, Vec, rate_of, rotation_vector, turned, turning_of
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.time_schemes import BACKWARD_EULER, SDIRK2
+from slider_jax.effects import NormalDrag, ReactiveForce
+from slider_jax.effects.body.gravity import Gravity
+from slider_jax.effects.body.tail_stiffness import TailStiffness
+from slider_jax.effects.water.tangential_friction import TangentialFriction
+from slider_jax.rod.equilibrium import solve_equilibrium
+from slider_jax.rod.loads import RodLoads
+from slider_jax.rod.rod import Rod
+from slider_jax.spatial.step import at_rest_in_space, spatial_rollout
+from slider_jax.supports import Clamped, Free, PinnedLink
+from tests.support.helpers import SMALL, arrays, order, swimmer, uniform
+
+L, EI_N, EI_B, GJ, J, MASS = 0.368, 0.152, 0.038, 0.05, 2e-5, 0.7
+NUM = Numerics(tail_cells=8, body_cells=32)
+
+
+def spatial(model, GJ=GJ, EI_n=EI_N, J=J):
+    """Returns the model with the properties that a robot in three dimensions needs."""
+    robot = model.robot.with_parts(lambda p: replace(p, GJ=GJ, EI_n=EI_n, polar_inertia=J))
+    return arrays(replace(model, robot=robot))
+
+
+def rolled(angle) -> Quaternion:
+    half = 0.5 * jnp.asarray(angle, float)
+    return Quaternion(jnp.cos(half), jnp.sin(half), 0.0 * half, 0.0 * half)
+
+
+def moving(begin, V=None, omega=None):
+    """Returns the carry with other velocities [m/s] or turning rates [rad/s] at the nodes."""
+    V = begin.memory.V if V is None else V
+    omega = begin.memory.omega if omega is None else omega
+    return eqx.tree_at(
+        lambda c: (c.memory.V, c.memory.omega, c.history),
+        begin,
+        (V, omega, begin.history.at[:, 6:9].set(V)),
+    )
+
+
+@pytest.mark.parametrize(
+    "support",
+    [
+        Free(speed=0.1),
+        pytest.param(Clamped(tow_speed=0.1), marks=pytest.mark.slow),
+        pytest.param(PinnedLink(0.03, 2.0), marks=pytest.mark.slow),
+    ],
+)
+def test_a_planar_run_in_rotated_planes_is_the_planar_programs(support):
+    """Readings agree to 1e-8 in three planes, and nothing moves out of the plane."""
+    effects = (ReactiveForce(1.0), NormalDrag(2.0), TangentialFriction(0.02))
+    model = spatial(swimmer(2.0, 30e3, wave=SineWave, support=support, effects=effects))
+    numerics = replace(SMALL, tolerance=1e-11)
+    times = TimeGrid(0.01, 25)
+    planar = jax.jit(lambda: rollout(model, times, lambda x: (x.y, x.head), numerics))()
+
+    @jax.jit
+    def run(attitude):
+        begin = at_rest_in_space(model, numerics, 0.0, attitude)
+        save = lambda x: (x.y, x.memory.head)  # noqa: E731
+        return spatial_rollout(model, times, save, numerics, begin=begin)
+
+    for angle in (0.0, 1.0, math.pi / 2):
+        found = run(rolled(angle))
+        assert planar.ok and found.ok
+        (y, head), (z, place) = planar.saved, found.saved
+        for mine, theirs in zip((0, 5, 6, 7), (0, 2, 3, 4), strict=True):
+            size = np.abs(y[:, theirs]).max()
+            np.testing.assert_allclose(z[:, mine], y[:, theirs], rtol=0, atol=1e-8 * size)
+        for out_of_plane in (2, 3, 4, 8):
+            assert np.abs(z[:, out_of_plane]).max() < 1e-12
+        turned = np.array([np.ones(25), np.full(25, np.cos(angle)), np.full(25, np.sin(angle))]).T
+        np.testing.assert_allclose(place, turned * np.array(head)[:, [0, 1, 1]], atol=1e-10)
+
+
+def first_bending_mode(s, row):
+    """Returns V and omega at the nodes in the first mode of a cantilever, along n or b."""
+    k = 1.875104068711961 / L
+    x = k * (L - s)
+    c = (np.cosh(k * L) + np.cos(k * L)) / (np.sinh(k * L) + np.sin(k * L))
+    V = np.zeros((3, len(s)))
+    omega = np.zeros((3, len(s)))
+    V[row] = np.cosh(x) - np.cos(x) - c * (np.sinh(x) - np.sin(x))
+    slope = -k * (np.sinh(x) + np.sin(x) - c * (np.cosh(x) - np.cos(x)))
+    omega[3 - row] = slope if row == 1 else -slope
+    return jnp.asarray(1e-3 * V), jnp.asarray(1e-3 * omega)
+
+
+def test_torsional_and_bending_frequencies():
+    """First frequencies of a cantilever in torsion and in both planes of bending, to 0.5 %."""
+    model = spatial(uniform(L=L, EI=EI_B, EA_body=1e7, EA_tail=1e7))
+
+    @jax.jit
+    def run(h, V, omega):
+        begin = moving(at_rest_in_space(model, NUM), V, omega)
+        save = lambda x: jnp.stack([x.memory.omega[0, 0], *x.memory.V[1:, 0]])  # noqa: E731
+        return spatial_rollout(model, TimeGrid(h, 250), save, NUM, begin=begin, checkpoint=False)
+
+    s = np.linspace(0.0, L, 41)
+    twist = jnp.zeros((3, 41)).at[0].set(0.1 * np.cos(np.pi * s / (2 * L)))
+    bending = 1.875104068711961**2 / (2 * np.pi * L**2)
+    cases = [
+        (0, np.sqrt(GJ / J) / (4 * L), jnp.zeros((3, 41)), twist),
+        (1, bending * np.sqrt(EI_B / MASS), *first_bending_mode(s, 1)),
+        (2, bending * np.sqrt(EI_N / MASS), *first_bending_mode(s, 2)),
+    ]
+    for row, frequency, V, omega in cases:
+        found = run(0.01 / frequency, V, omega)
+        assert found.ok
+        x, t = np.array(found.saved[:, row]), np.array(found.t)
+        down = np.flatnonzero((x[:-1] > 0) & (x[1:] <= 0))
+        zero = t[down] - x[down] * (t[down + 1] - t[down]) / (x[down + 1] - x[down])
+        assert 1.0 / (zero[1] - zero[0]) == pytest.approx(frequency, rel=5e-3)
+
+
+def test_spin_and_slip_decay_as_the_drag_demands():
+    """omega0/(1 + omega0 K t/J) and u0/(1 + u0 rho C_d H t/(2 (m + m_A))), to 1e-4."""
+    effects = (ReactiveForce(1.0), NormalDrag(2.0))
+    model = spatial(uniform(L=L, EI=EI_B, effects=effects, support=Free()))
+
+    @jax.jit
+    def run(V, omega):
+        begin = moving(at_rest_in_space(model, SMALL), V, omega)
+        save = lambda x: (x.memory.omega[0, 3], x.memory.V[1, 3], x.frame)  # noqa: E731
+        return spatial_rollout(
+            model, TimeGrid(1e-3, 100), save, SMALL, begin=begin, checkpoint=False
+        )
+
+    nodes, H, rho = SMALL.nodes, 0.03, 1000.0
+    none = jnp.zeros((3, nodes))
+    spin, slip = run(none, none.at[0].set(50.0)), run(none.at[1].set(0.5), none)
+    t = np.array(spin.t)
+    inertia, K = J + np.pi * rho * H**4 / 128, rho * 2.0 * H**4 / 64
+    np.testing.assert_allclose(spin.saved[0], 50 / (1 + 50 * K * t / inertia), rtol=1e-4)
+    mass = MASS + np.pi * rho * H**2 / 4
+    np.testing.assert_allclose(slip.saved[1], 0.5 / (1 + 0.5 * rho * 2 * H * t / (2 * mass)), 1e-4)
+    norm = np.linalg.norm(np.array(spin.saved[2]), axis=1)
+    np.testing.assert_allclose(norm, 1.0, rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_rolled_strip_under_its_weight_hangs_as_the_static_rod():
+    """Bending in two planes with torsion; the tip agrees with the static solver to 0.1 % of L."""
+    effects = (Gravity(12.0, elevation=math.pi / 2),)
+    model = spatial(uniform(L=L, EI=EI_B, effects=effects, EA_body=1e6, EA_tail=1e6))
+    roll = 0.5
+    begin = at_rest_in_space(model, NUM, 0.0, rolled(roll))
+    found = jax.jit(
+        lambda b: spatial_rollout(
+            model, TimeGrid(0.02, 500), lambda x: x.positions()[:, 0], NUM, BACKWARD_EULER, begin=b
+        )
+    )(begin)
+    one = jnp.ones(40)
+    c, s = np.cos(roll), np.sin(roll)
+    rod = Rod(
+        ds=one * L / 40,
+        stiffness=jnp.stack([GJ * one, EI_N * one, EI_B * one], axis=1),
+        initial_curvature=jnp.zeros((40, 3)),
+        clamp=jnp.array([[-1.0, 0.0, 0.0], [0.0, c, s], [0.0, s, -c]]),
+        weight=MASS * 12.0 * one,
+    )
+    down = jnp.array([0.0, 0.0, -1.0])
+    rest = solve_equilibrium(rod, RodLoads(jnp.zeros(3), jnp.zeros(3), down)).shape.position[-1]
+    assert found.ok
+    assert abs(rest[1]) > 0.05
+    np.testing.assert_allclose(found.saved[-1], rest, rtol=0, atol=1e-3 * L)
+
+
+def strip_swimmer(angle=0.7, C_d=2.0, EI=0.02, **in_space):
+    """A swimmer whose chambers are off the planes of symmetry of its section."""
+    robot = {"EI_body": EI}
+    model = swimmer(4.8, wave=SineWave, phase=0.0, C_d=C_d, k=0.05, support=Free(), **robot)
+    return spatial(model, **in_space), jnp.asarray([angle, -angle])
+
+
+def readings(model, angles, steps, span, numerics, scheme=SDIRK2):
+    def save(x):
+        return jnp.concatenate([x.positions()[:, 0], x.positions()[:, -1], x.memory.omega[:, 0]])
+
+    times = TimeGrid(span / steps, steps)
+    return spatial_rollout(model, times, save, numerics, scheme, angles=angles)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["time", "space"])
+def test_order_in_time_and_in_space_is_two(what):
+    runs = []
+    model, angles = strip_swimmer()
+    for n in (10, 20, 40, 80):
+        numerics = SMALL if what == "time" else Numerics(tail_cells=n // 5, body_cells=4 * n // 5)
+        steps = 4 * n if what == "time" else 160
+        found = jax.jit(lambda m, a: readings(m, a, steps, 0.2, numerics))(model, angles)  # noqa: B023
+        assert found.ok
+        runs.append(np.array(found.saved)[steps // 40 - 1 :: steps // 40])
+    size = np.sqrt(np.mean(runs[-1] ** 2, axis=0)).reshape(3, 3).max(axis=1).repeat(3)
+    pairs = itertools.pairwise(runs)
+    error = [np.sqrt(np.mean((a - b) ** 2, axis=0)) / size for a, b in pairs]
+    error = np.max(np.reshape(error, (3, 3, 3)), axis=2)
+    slopes = [-order([1, 2, 4], column) for column in error.T]
+    print(what, slopes, error[-1])
+    np.testing.assert_allclose(slopes, 2.0, atol=0.3)
+
+
+@pytest.mark.slow
+def test_derivatives_agree_forward_in_reverse_and_by_differences():
+    """By EI_b, EI_n, GJ, the chambers' angle and C_d: 1e-12, and 1e-6 against differences."""
+    values = jnp.array([0.7, 2.0, 0.02, EI_N, GJ])
+
+    def tip(x):
+        model, angles = strip_swimmer(x[0], x[1], x[2], EI_n=x[3], GJ=x[4])
+        numerics = replace(SMALL, tolerance=1e-13)
+        return jnp.sum(readings(model, angles, 12, 0.06, numerics).saved[-1])
+
+    forward = jax.jit(jax.jacfwd(tip))(values)
+    backward = jax.jit(jax.grad(tip))(values)
+    assert np.all(np.abs(forward) > 0.0)
+    np.testing.assert_allclose(backward, forward, rtol=1e-11, atol=1e-12 * np.abs(forward).max())
+    value = jax.jit(tip)
+    for i in range(5):
+        step = jnp.zeros(5).at[i].set(1e-4 * values[i])
+        difference = (value(values + step) - value(values - step)) / (2 * step[i])
+        assert difference == pytest.approx(float(forward[i]), rel=1e-6)
+
+
+def test_what_is_defined_in_the_plane_only_is_refused():
+    model = spatial(swimmer())
+    times = TimeGrid(0.01, 1)
+    with pytest.raises(ValueError, match="tail_stiffness, which are defined in the plane only"):
+        wrong = replace(model, effects=(*model.effects, TailStiffness(0.1)))
+        spatial_rollout(wrong, times, lambda x: x.t)
+    with pytest.raises(ValueError, match="GJ of body or tail is absent"):
+        spatial_rollout(swimmer(), times, lambda x: x.t)
+    bare = model.robot.with_parts(lambda p: replace(p, polar_inertia=None))
+    with pytest.raises(ValueError, match="polar_inertia of body or tail is absent"):
+        spatial_rollout(replace(model, robot=bare), times, lambda x: x.t)
+
+
+def test_rotation_vectors_and_quaternions_belong_together():
+    v = np.random.default_rng(5).normal(size=(3, 50))
+    v = jnp.asarray(v / np.linalg.norm(v, axis=0) * np.linspace(0.0, 2.0, 50))
+    q = turned(Vec(*v))
+    np.testing.assert_allclose(jnp.stack(rotation_vector(q)), v, atol=1e-14)
+    np.testing.assert_allclose(sum(c**2 for c in q), 1.0, atol=1e-15)
+    rate = Vec(*jnp.asarray(np.random.default_rng(6).normal(size=(3, 50))))
+    omega = turning_of(Vec(*v), rate)
+    np.testing.assert_allclose(jnp.stack(rate_of(Vec(*v), omega)), jnp.stack(rate), atol=1e-12)
+    # The rate of a quaternion is q (0, omega)/2.
+    _, q_t = jax.jvp(turned, (Vec(*v),), (rate,))
+    product = q.after(type(q)(0.0 * q.w, *omega))
+    np.testing.assert_allclose(jnp.stack(q_t), 0.5 * jnp.stack(product), atol=1e-14)
