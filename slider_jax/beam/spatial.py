@@ -147,7 +147,7 @@ def turning_of(v: Vec, rate: Vec) -> Vec:
 
 
 _BERNOULLI = (1 / 60, 1 / 42, 1 / 40, 5 / 198, 691 / 27300, 210 / 8292, 3617 / 142800)
-"""Ratios of the terms of 12 (1 - (a/2) cot(a/2))/a^2 as a series in a^2; later ratios are 1/39.5."""
+"""12 (1 - (a/2) cot(a/2))/a^2 as a series in a^2; the later ratios are 1/(4 pi^2)."""
 
 
 def rate_of(v: Vec, omega: Vec) -> Vec:

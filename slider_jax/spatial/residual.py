@@ -185,7 +185,10 @@ def _by_loads(
     ]
     slopes = [[*none, *none, *(-x for x in u), *none] for u in units]
     slopes += [[*none, *none, *none, *(-x for x in u)] for u in units]
-    return tuple(jnp.stack([jnp.stack(c) for c in x], axis=1) for x in (means, slopes))
+    by_means, by_slopes = (
+        jnp.stack([jnp.stack(column) for column in x], axis=1) for x in (means, slopes)
+    )
+    return by_means, by_slopes
 
 
 def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOperator:

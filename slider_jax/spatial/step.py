@@ -26,7 +26,7 @@ from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
 from slider_jax.dynamics.pressures import Chambers, chamber_history, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme, extrapolation
-from slider_jax.effects.base import BodyChange, in_space
+from slider_jax.effects.base import in_space
 from slider_jax.spatial.mesh import SpatialMesh, spatial_mesh
 from slider_jax.spatial.residual import (
     LEFT,
@@ -164,7 +164,7 @@ def make_spatial_step(
         t, weight, predictor, chambers = stage_inputs
         memory = jax.tree.map(lambda b, q: b + weight * (q - b), base, carry.memory)
         dt = scheme.gamma * h
-        slope = jnp.gradient(predictor @ carry.twist, grid.mid(grid.s))
+        slope = jnp.asarray(jnp.gradient(predictor @ carry.twist, grid.mid(grid.s)))
         reference = SpatialReference(
             V=mean_of(memory.V),
             omega=mean_of(memory.omega),
@@ -192,7 +192,7 @@ def make_spatial_step(
             return jnp.stack(rotation_vector(start.inverse().after(Quaternion(*frames))))
 
         known = jnp.concatenate([carry.history, jax.vmap(theta_of)(carry.frames)], axis=1)
-        solution = optx.root_find(
+        solution: optx.Solution = optx.root_find(
             spatial_residual,
             solver,
             jnp.tensordot(predictor, known, 1),

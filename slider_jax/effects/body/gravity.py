@@ -15,11 +15,14 @@ class Gravity(ForceDensity):
         (F_x, F_y) = -(m - rho A) g/(1 + eps) (cos(up), sin(up))
 
     m is the mass and A the volume of displaced water, both per unstretched length; eps is the axial
-    strain. If the upward direction has the angle `elevation` to the plane, the force along the plane
-    is multiplied by cos(elevation), and a body in space also has the force along z. The centre of
-    buoyancy of a body in space may lie beside the centre of mass; the couple rights the body. In water, the tension T of the beam is the tension plus the pressure of the water times
-    the cross-section, so it is 0 at a free end. Source: Archimedes' principle, Batchelor, G. K.
-    (1967), An Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
+    strain. If the upward direction has the angle `elevation` to the plane, the force along the
+    plane is multiplied by cos(elevation), and a body in space also has the force along z. The
+    centre of buoyancy of a body in space may lie beside the centre of mass. The couple of the two
+    forces then rights the body.
+
+    In water, the tension T of the beam is the tension plus the pressure of the water times the
+    cross-section, so it is 0 at a free end. Source: Archimedes' principle, Batchelor, G. K. (1967),
+    An Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
     """
 
     title = "weight"

@@ -1,4 +1,4 @@
-"""A robot in three dimensions: its planar limit, frequencies, decay, statics, order, derivatives."""
+"""A robot in three dimensions: planar limit, frequencies, decay, statics, order, derivatives."""
 
 import itertools
 import math
