@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Array
 
 from slider_jax import observables as obs
-from slider_jax.dynamics.step import Snapshot
 from slider_jax.effects import Effect, Instrument, Readings, of_place
 from slider_jax.errors import InputError
 
@@ -38,7 +37,7 @@ class Channel:
     plot_unit: str
     plot_factor: float
     """Factor that converts a reading from `unit` to `plot_unit`."""
-    observe: Callable[[Snapshot], Array]
+    observe: Callable[[obs.AnySnapshot], Array]
     kind: Literal["pressure", "force", "camera", "other"] = "other"
     """Kind of sensor: forces have a tare and slow noise; pressures have a quantisation step."""
     noise: str = ""
@@ -118,7 +117,7 @@ class ChannelSet(Mapping[str, Channel]):
         """Names of the pressure channels, from the head to the tail."""
         return tuple(x.name for x in self.members if x.kind == "pressure")
 
-    def observe(self, x: Snapshot) -> dict[str, Array]:
+    def observe(self, x: obs.AnySnapshot) -> dict[str, Array]:
         """Returns the true reading of every channel, in SI units."""
         return {channel.name: channel.observe(x) for channel in self.members}
 
@@ -148,7 +147,7 @@ class ChamberPressure:
 
     chamber: int
 
-    def __call__(self, x: Snapshot) -> Array:
+    def __call__(self, x: obs.AnySnapshot) -> Array:
         return x.chambers.p[self.chamber]
 
 
@@ -160,7 +159,7 @@ def _pressure(chamber: str, index: int) -> Channel:
     )  # fmt: skip
 
 
-def _force(name: str, observe: Callable[[Snapshot], Array], discrepancy: float) -> Channel:
+def _force(name: str, observe: Callable[[obs.AnySnapshot], Array], discrepancy: float) -> Channel:
     return Channel(
         name, f"{name}_N", "N", name, "mN", 1e3, observe,
         "force", "force_noise", name, gain=0.01, discrepancy=discrepancy, digits=".6f",

@@ -13,6 +13,7 @@ from slider_jax.beam.equations import LocalWater, Structure
 from slider_jax.beam.grid import Grid
 from slider_jax.beam.parameters import Numerics, Robot, Scalar, grid_of
 from slider_jax.effects import BodyChange, Effect, WaterMotion, of_place
+from slider_jax.errors import InputError
 from slider_jax.supports import Support
 from slider_jax.water import WaterField
 
@@ -23,6 +24,16 @@ class Drive(eqx.Module):
     waves: tuple[Waveform, ...]
     start: Float[Array, " chambers"] | Scalar = 0.0
     """Initial pressure [Pa] of each chamber, or of all chambers."""
+
+
+class SpaceSettings(eqx.Module):
+    """What a model in three dimensions has in addition to a planar one."""
+
+    angles: Float[Array, " chambers"]
+    """Directions [rad] of the chambers around the axis, from n towards b. At 0, a chamber bends the
+    body in its plane (tau, n)."""
+    roll: Scalar = 0.0
+    """Initial roll [rad] of the body about its axis. At 0, b is along z."""
 
 
 class Model(eqx.Module):
@@ -40,6 +51,8 @@ class Model(eqx.Module):
     """Steady uniform velocity (U_x, U_y) [m/s] of the water, or a nonuniform velocity field."""
     actuators: tuple[Actuator, ...] = ()
     """Actuators in addition to the chambers."""
+    space: SpaceSettings | None = None
+    """Settings of a model in three dimensions; None for a planar model."""
 
     @property
     def body(self) -> Robot:
@@ -48,6 +61,14 @@ class Model(eqx.Module):
         for effect in of_place(self.effects, BodyChange):
             robot = effect.change(robot)
         return robot
+
+    def require_plane(self) -> None:
+        """Raises `InputError` for a model in three dimensions."""
+        if self.space is not None:
+            raise InputError(
+                "dimension: given 3; allowed 2, because this computation is planar; `slider "
+                "simulate` computes in three dimensions"
+            )
 
     def water_velocity(self, t: Array) -> Float[Array, "2"]:
         """Returns the uniform part (2,) [m/s] of the water's velocity at `t` [s].

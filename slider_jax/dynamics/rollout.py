@@ -66,10 +66,12 @@ def rollout(
     Without `begin`, the body starts straight and at rest relative to its support. To continue an
     earlier rollout, pass its `final` as `begin`. `chambers` is the `chamber_history` at the ends of
     all stages (default: computed from the drive). If a step fails, the state remains frozen and
-    `ok` is false. No error is raised here, because an error would stop all robots of a batch.
+    `ok` is false. Raises `InputError` for a model in three dimensions; see `spatial_rollout`. No
+    error is raised for a failed step, because an error would stop all robots of a batch.
     Callers such as `simulate_trial` raise `SolverError`. With `checkpoint`, reverse-mode
     differentiation stores only the carry of each step and recomputes all other values.
     """
+    model.require_plane()
     mesh = make_mesh(model.body, numerics)
     if begin is None:
         begin = at_rest(model, numerics, times.t0)

@@ -19,6 +19,7 @@ from slider_jax.beam.state import (
     node_positions,
     straight_state,
     to_body,
+    to_plane,
 )
 from slider_jax.dynamics.model import Mesh, Model, make_mesh
 from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
@@ -33,7 +34,7 @@ from slider_jax.dynamics.residual import (
 )
 from slider_jax.dynamics.shapes import has_shape, shape_at, shape_in_step
 from slider_jax.dynamics.time_schemes import Scheme, extrapolation
-from slider_jax.effects import BendingMoment, of_place
+from slider_jax.effects import BendingMoment, of_place, total_force
 from slider_jax.supports import Support
 
 
@@ -70,6 +71,49 @@ class Snapshot(eqx.Module):
     def section(self) -> Section:
         """Returns the local state of the body in each cell."""
         return at_cells(self.y, self.stage)
+
+    def positions(self) -> Float[Array, "2 nodes"]:
+        """Returns the positions (x, y) [m] of the nodes, tail first."""
+        return node_positions(self.y[5], self.memory.strain, self.head, self.mesh.grid)
+
+    def directions(self) -> Float[Array, "2 nodes"]:
+        """Returns the unit vectors tau (x, y) at the nodes."""
+        return jnp.stack([jnp.cos(self.y[5]), jnp.sin(self.y[5])])
+
+    def headings(self) -> Float[Array, " nodes"]:
+        """Returns the angle [rad] of tau to the x axis at the nodes."""
+        return self.y[5]
+
+    def turning(self) -> Float[Array, " cells"]:
+        """Returns the rate of turning [rad/s] about z in the cells."""
+        return self.section().omega
+
+    def bending(self) -> Float[Array, " cells"]:
+        """Returns the curvature [1/m] about b in the cells."""
+        return self.section().kappa
+
+    def moments(self) -> Float[Array, " nodes"]:
+        """Returns the bending moment M [N m] about b at the nodes."""
+        return self.y[2]
+
+    def head_force(self, angle: Array) -> tuple[Array, Array]:
+        """Returns the force [N] on the head along axes that are turned by `angle` [rad] about z."""
+        head = fields(self.y[:, -1])
+        return to_plane(head.T, head.N, head.phi - angle)
+
+    def yaw_moment(self) -> Array:
+        """Returns the moment [N m] on the head about z."""
+        return self.y[2, -1]
+
+    def speed(self) -> Array:
+        """Returns the speed [m/s] of the head along tau."""
+        return self.y[3, -1]
+
+    def force_density(self) -> Float[Array, "2 cells"]:
+        """Returns the force per length (x, y) [N/m] of the effects in the cells."""
+        section = self.section()
+        F_tau, F_n = total_force(self.stage.effects, section)
+        return jnp.stack(to_plane(F_tau, F_n, section.phi))
 
 
 def _blend(base: PyTree, last: PyTree, weight) -> PyTree:
@@ -196,8 +240,9 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
     """Returns the carry of an unloaded body at rest relative to its support at `t0` [s].
 
     The body is straight, but it has the curvature and the motion that `PrescribedShape` actuators
-    prescribe.
+    prescribe. Raises `InputError` for a model in three dimensions.
     """
+    model.require_plane()
     velocity, angle, rate = model.support.start(jnp.asarray(t0))
     V_tau, V_n = to_body(velocity, angle)
     if has_shape(model.actuators):

@@ -341,14 +341,15 @@ def of_place(effects: tuple[Effect, ...], place: type) -> tuple:
     return tuple(effect for effect in effects if isinstance(effect, place))
 
 
-def in_space(effect: Effect) -> bool:
-    """Returns whether a model in three dimensions may contain the effect.
+def in_space(effect: Effect | type[Effect]) -> bool:
+    """Returns whether a model in three dimensions may contain the effect, or the class of effects.
 
-    Effects of the pressures act alike in two and in three dimensions.
+    Effects of pressures and sensors act alike in two and in three dimensions.
     """
-    if isinstance(effect, ForceDensity):
-        return type(effect).load_in_space is not ForceDensity.load_in_space
-    return isinstance(effect, Command | Flow | ActingPressure)
+    kind = effect if isinstance(effect, type) else type(effect)
+    if issubclass(kind, ForceDensity):
+        return kind.load_in_space is not ForceDensity.load_in_space
+    return issubclass(kind, (Command, Flow, ActingPressure, Instrument))
 
 
 def total_load(effects: tuple[Effect, ...], x: SpatialSection) -> SpatialLoad:

@@ -17,7 +17,8 @@ class ChamberTable(Table):
     """[[actuators]]: an air chamber that bends the body between two distances from the head.
 
     With `side` "both", the actuator is a pair: a left and a right chamber, whose signed pressure is
-    left minus right. A single chamber takes only the set pressures of its side.
+    left minus right. A single chamber takes only the set pressures of its side. In three
+    dimensions, `angle` turns the plane in which the chamber bends the body.
     """
 
     kind: Literal["pneumatic"]
@@ -28,6 +29,7 @@ class ChamberTable(Table):
     limit: Limit | None = None
     stiffening: Stiffening = 0.0
     k_ratio: Ratio = 1.0
+    angle: Annotated[float, Quantity(-6.2832, 6.2832, "rad")] = 0.0
 
     def acts_on(self, side: Literal["left", "right"]) -> bool:
         """Whether the actuator has a chamber on this side of the body."""

@@ -8,7 +8,6 @@ from jaxtyping import Array
 
 from slider_jax import observables as obs
 from slider_jax.channels import Channel, ChannelSet, channels_of
-from slider_jax.dynamics.step import Snapshot
 from slider_jax.experiment.sensor_tables import BUILT_IN_KINDS, ChannelTable
 
 Sensor = Literal["camera", "other"]
@@ -28,10 +27,10 @@ KINDS: dict[str, tuple[str, str, float, Sensor, float]] = {
 class AtPlace:
     """Returns `reading(snapshot, place)`, with the distance `place` [m] from the head."""
 
-    reading: Callable[[Snapshot, float], Array]
+    reading: Callable[[obs.AnySnapshot, float], Array]
     place: float
 
-    def __call__(self, x: Snapshot) -> Array:
+    def __call__(self, x: obs.AnySnapshot) -> Array:
         return self.reading(x, self.place)
 
 
@@ -42,17 +41,17 @@ class CoordinateOf:
     place: float
     axis: int
 
-    def __call__(self, x: Snapshot) -> Array:
+    def __call__(self, x: obs.AnySnapshot) -> Array:
         return obs.point(x, self.place)[self.axis]
 
 
-READINGS: dict[str, Callable[[Snapshot, float], Array]] = {
+READINGS: dict[str, Callable[[obs.AnySnapshot, float], Array]] = {
     "marker": obs.lateral_at,
     "curvature": obs.curvature_at,
     "angle": obs.angle_at,
     "turning_rate": obs.turning_rate_at,
 }
-WHOLE: dict[str, Callable[[Snapshot], Array]] = {
+WHOLE: dict[str, Callable[[obs.AnySnapshot], Array]] = {
     "yaw_moment": obs.yaw_moment,
     "speed": obs.forward_speed,
 }
@@ -101,7 +100,7 @@ def _added(table: ChannelTable) -> Iterator[Channel]:
     for axis, column in enumerate(table.columns):
         both = len(table.columns) == 2
         own = f"{name}_{'xy'[axis]}" if both else name
-        observe: Callable[[Snapshot], Array]
+        observe: Callable[[obs.AnySnapshot], Array]
         if table.s is None:
             observe = WHOLE[table.kind]
         elif both:

@@ -14,9 +14,10 @@ from slider_jax.actuation import FirstOrderLag, Ideal, PressureLaw
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics, Robot, Scalar
 from slider_jax.channels import TIME, ChannelSet
-from slider_jax.dynamics.model import Model
+from slider_jax.dynamics.model import Model, SpaceSettings
 from slider_jax.dynamics.time_schemes import SCHEMES, Scheme
 from slider_jax.effects import Effect, NormalDrag, ReactiveForce
+from slider_jax.effects.base import in_space
 from slider_jax.effects.library import KNOWN_EFFECTS, LIBRARY
 from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.declared_channels import declared_channels
@@ -77,8 +78,14 @@ class Experiment(ExperimentTable):
 def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experiment:
     experiment = validate(Experiment, content, source)
     experiment._folder = folder
-    for index, effect in enumerate(experiment.effects):
-        _effect(effect, f"{source}: effects.{index}")
+    for index, table in enumerate(experiment.effects):
+        effect = _effect(table, f"{source}: effects.{index}")
+        if experiment.dimension == 3 and not in_space(effect):
+            known = [name for name, kind in KNOWN_EFFECTS.items() if in_space(kind)]
+            raise InputError(
+                f"{source}: effects.{index}.name: given {table.name!r}, which is defined in the "
+                f"plane only; allowed with dimension = 3: {', '.join(known)}"
+            )
     try:
         experiment.channels  # noqa: B018  (two channels must not have the same name or column)
     except InputError as error:
@@ -212,8 +219,16 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
         support=_support(trial),
         water=water_of(experiment, trial, experiment.folder),
         actuators=actuators,
+        space=_space_of(experiment, trial),
     )
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
+
+
+def _space_of(experiment: Experiment, trial: Trial) -> SpaceSettings | None:
+    if experiment.dimension == 2:
+        return None
+    angles = jnp.array([x.angle for x in experiment.chambers])
+    return SpaceSettings(angles=angles, roll=trial.roll)
 
 
 def lag_of(experiment: Experiment) -> FirstOrderLag:

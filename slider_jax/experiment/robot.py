@@ -24,6 +24,8 @@ RIGID_FACTOR = 1e4
 """EI and EA of a rigid segment, divided by the largest EI and EA of the flexible segments."""
 RIGID = {"EI": 100.0, "EA": 1e7}
 """Smallest EI [N m^2] and EA [N] of a rigid segment."""
+IN_SPACE = ("GJ_body", "GJ_tail", "EI_n_body", "EI_n_tail", "polar_inertia", "width")
+"""Keys of a uniform robot that only simulations in three dimensions use."""
 Pieces = dict[str, np.ndarray]
 """Lengths (pieces,) and properties (pieces, 2) of a segment."""
 
@@ -43,9 +45,17 @@ def robot_of(
     chambers = table.own_chambers if chambers is None else chambers
     if isinstance(table, RobotTable):
         own = table.model_dump(
-            exclude={"water_density", "density", "front_chamber", "rear_chamber"}
+            exclude={"water_density", "density", "front_chamber", "rear_chamber", *IN_SPACE}
         )
         robot = uniform_robot(**own, K_Q=K_Q)
+        robot = robot.with_parts(
+            lambda part: replace(part, polar_inertia=table.polar_inertia, width=table.width)
+        )
+        robot = replace(
+            robot,
+            body=replace(robot.body, GJ=table.GJ_body, EI_n=table.EI_n_body),
+            tail=replace(robot.tail, GJ=table.GJ_tail, EI_n=table.EI_n_tail),
+        )
         if table.density is not None:
             area = table.linear_density / table.density
             robot = robot.with_parts(lambda part: replace(part, area=area))
@@ -107,6 +117,17 @@ def _pieces(robot: SegmentedRobotTable, segment: SegmentTable, folder: Path) -> 
         else:
             values = np.full(len(at), common if own is None else own)
         found[name] = np.stack([values[:-1], values[1:]], axis=1)
+    common_in_space = {"polar_inertia": robot.polar_inertia, "width": robot.width}
+    own_in_space = {
+        name: getattr(robot, name) if getattr(segment, name) is None else getattr(segment, name)
+        for name in ("GJ", "EI_n")
+    }
+    if own_in_space["EI_n"] is None and own_in_space["GJ"] is not None:
+        found["EI_n"] = found["EI"]
+        del own_in_space["EI_n"]
+    for name, value in (common_in_space | own_in_space).items():
+        if value is not None:
+            found[name] = np.full((len(at) - 1, 2), value)
     density = robot.density_of(segment)
     if density is not None:
         found["area"] = found["linear_density"] / density
@@ -138,6 +159,9 @@ def _part(segments: list[Pieces]) -> RobotPart:
 
 def _no_tail(body: RobotPart) -> RobotPart:
     """Returns a tail of zero length, with the properties of the body's far end."""
-    ends = {name: getattr(body, name) for name in (*PROFILE_COLUMNS, "area")}
+    ends = {
+        name: getattr(body, name)
+        for name in (*PROFILE_COLUMNS, "area", "GJ", "EI_n", "polar_inertia", "width")
+    }
     last = {k: x if x is None or jnp.ndim(x) == 0 else x[-1, 1] for k, x in ends.items()}
     return RobotPart(lengths=0.0, **last)

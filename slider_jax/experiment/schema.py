@@ -29,12 +29,15 @@ from slider_jax.experiment.tables import (
     Height,
     Length,
     LinearDensity,
+    PolarInertia,
     Position,
     Span,
     Speed,
     Stiffness,
     Table,
+    TorsionalStiffness,
     WaterDensity,
+    Width,
     fail,
 )
 from slider_jax.io.units import Quantity
@@ -50,6 +53,8 @@ class BodyTable(Table):
     rear_chamber: Span | None = None
     water_density: WaterDensity = 1000.0
     density: Density | None = None
+    polar_inertia: PolarInertia | None = None
+    width: Width | None = None
 
     @property
     def own_chambers(self) -> tuple[ChamberTable, ...]:
@@ -66,6 +71,11 @@ class BodyTable(Table):
         """Lengths [m] of tail and body."""
         raise NotImplementedError
 
+    @property
+    def lacking_in_space(self) -> list[str]:
+        """Keys without which the robot cannot be simulated in three dimensions."""
+        raise NotImplementedError
+
 
 class RobotTable(BodyTable):
     """[robot] of a robot with a uniform body and a uniform tail: geometry and structure."""
@@ -79,10 +89,19 @@ class RobotTable(BodyTable):
     EA_tail: Stiffness = 1.0e5
     damping_time: DampingTime
     height: Height
+    GJ_body: TorsionalStiffness | None = None
+    GJ_tail: TorsionalStiffness | None = None
+    EI_n_body: BendingStiffness | None = None
+    EI_n_tail: BendingStiffness | None = None
 
     @property
     def lengths(self) -> tuple[float, float]:
         return self.tail_length, self.body_length
+
+    @property
+    def lacking_in_space(self) -> list[str]:
+        needed = ("GJ_body", "GJ_tail", "polar_inertia")
+        return [key for key in needed if getattr(self, key) is None]
 
 
 PROFILE_COLUMNS = {
@@ -114,6 +133,9 @@ class SegmentTable(Table):
     rigid: Annotated[bool, Field(strict=True)] = False
     profile: FileName | None = None
 
+    GJ: TorsionalStiffness | None = None
+    EI_n: BendingStiffness | None = None
+
 
 class PointMassTable(Table):
     """[[robot.point_masses]]: a mass at a distance `s` from the head, for example an adapter."""
@@ -132,6 +154,8 @@ class SegmentedRobotTable(BodyTable):
     EA: Stiffness = 1.0e5
     damping_time: DampingTime | None = None
     height: Height | None = None
+    GJ: TorsionalStiffness | None = None
+    EI_n: BendingStiffness | None = None
 
     @property
     def lengths(self) -> tuple[float, float]:
@@ -139,6 +163,12 @@ class SegmentedRobotTable(BodyTable):
             sum(x.length for x in self.segments if x.part == part) for part in ("tail", "body")
         )
         return tail, body
+
+    @property
+    def lacking_in_space(self) -> list[str]:
+        segments = [f"segments.{i}.GJ" for i, x in enumerate(self.segments) if x.GJ is None]
+        lacking = [] if self.GJ is not None else segments
+        return [*lacking, *(["polar_inertia"] if self.polar_inertia is None else [])]
 
     @property
     def files(self) -> list[str]:
@@ -342,6 +372,7 @@ class Trial(Table):
     support: Literal["clamped", "free"] = "clamped"
     start_speed: Speed = 0.0
     heading: Annotated[float, Quantity(-6.2832, 6.2832, "rad")] = 0.0
+    roll: Annotated[float, Quantity(-6.2832, 6.2832, "rad")] = 0.0
     lead_strides: Annotated[int, Field(strict=True, ge=0, le=1000)] = 0
     duration: Annotated[float, Quantity(0.01, 600.0, "s")]
     initial: Any = None  # accepted, but not used
@@ -398,6 +429,7 @@ class ExperimentTable(Table):
     """All tables of an experiment file."""
 
     name: str
+    dimension: Literal[2, 3] = 2
     robot: AnyRobotTable
     parameters: ParametersTable
     sensors: SensorsTable = SensorsTable()
@@ -438,6 +470,28 @@ class ExperimentTable(Table):
                 fail(f"trials.{i}.amplitude", "nothing", allowed)
             if trial.amplitude and not self.chambers:
                 fail(f"trials.{i}.amplitude", trial.amplitude, "0, as the robot has no chambers")
+        return self
+
+    @model_validator(mode="after")
+    def _dimension_fits_the_tables(self) -> Self:
+        if self.dimension == 2:
+            for i, chamber in enumerate(self.actuators):
+                if isinstance(chamber, ChamberTable) and chamber.angle != 0.0:
+                    fail(f"actuators.{i}.angle", chamber.angle, "0, unless dimension is 3")
+            for i, trial in enumerate(self.trials):
+                if trial.roll != 0.0:
+                    fail(f"trials.{i}.roll", trial.roll, "0, unless dimension is 3")
+            return self
+        for key in self.robot.lacking_in_space:
+            fail(f"robot.{key}", "nothing", "a number, because dimension is 3")
+        for i, actuator in enumerate(self.actuators):
+            if not isinstance(actuator, ChamberTable):
+                fail(f"actuators.{i}.kind", repr(actuator.kind), '"pneumatic", as dimension is 3')
+            if actuator.stiffening:
+                fail(f"actuators.{i}.stiffening", actuator.stiffening, "0, as dimension is 3")
+        for key in ("field", "vortex_street"):
+            if getattr(self.water, key) is not None:
+                fail(f"water.{key}", "a velocity field", "nothing, because dimension is 3")
         return self
 
     @model_validator(mode="after")

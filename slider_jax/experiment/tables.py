@@ -13,9 +13,12 @@ from slider_jax.io.units import Quantity
 FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
 Length = Annotated[float, Quantity(0.0, 3.0, "m")]
 LinearDensity = Annotated[float, Quantity(0.01, 20.0, "kg/m")]
+TorsionalStiffness = Annotated[float, Quantity(1e-6, 100.0, "N m^2")]
+PolarInertia = Annotated[float, Quantity(1e-9, 1.0, "kg m")]
 BendingStiffness = Annotated[float, Quantity(1e-6, 100.0, "N m^2")]
 Stiffness = Annotated[float, Quantity(1.0, 1e7, "N")]
 DampingTime = Annotated[float, Quantity(0.0, 0.1, "s")]
+Width = Annotated[float, Quantity(0.0, 0.5, "m")]
 Height = Annotated[float, Quantity(0.002, 0.5, "m")]
 Density = Annotated[float, Quantity(50.0, 20000.0, "kg/m^3")]
 WaterDensity = Annotated[float, Quantity(900.0, 1300.0, "kg/m^3")]

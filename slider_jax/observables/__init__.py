@@ -7,6 +7,7 @@ from slider_jax.observables.energy import (
     stored_energy as stored_energy,
 )
 from slider_jax.observables.measured import (
+    AnySnapshot as AnySnapshot,
     angle_at as angle_at,
     curvature_at as curvature_at,
     forward_speed as forward_speed,

@@ -8,16 +8,19 @@ with a head that turns in a soft clamp.
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.beam.state import fields, node_positions, to_plane
 from slider_jax.dynamics.step import Snapshot
+from slider_jax.spatial.step import SpatialSnapshot
+
+AnySnapshot = Snapshot | SpatialSnapshot
+"""A robot in the plane or in space; a sensor sees both alike. A camera looks down along z."""
 
 
-def midline(x: Snapshot) -> Float[Array, "2 nodes"]:
+def midline(x: AnySnapshot) -> Float[Array, "2 nodes"]:
     """Returns the positions (x, y) [m] of the nodes, tail first."""
-    return node_positions(x.y[5], x.memory.strain, x.head, x.mesh.grid)
+    return x.positions()[:2]
 
 
-def lateral(x: Snapshot) -> Float[Array, " nodes"]:
+def lateral(x: AnySnapshot) -> Float[Array, " nodes"]:
     """Returns the lateral positions y [m] of the nodes relative to the head, tail first.
 
     A camera on the carriage measures these positions.
@@ -26,18 +29,18 @@ def lateral(x: Snapshot) -> Float[Array, " nodes"]:
     return y - y[-1]
 
 
-def point(x: Snapshot, place: float) -> Float[Array, "2"]:
+def point(x: AnySnapshot, place: float) -> Float[Array, "2"]:
     """Returns the position (x, y) [m] of the body at the distance `place` [m] from the head.
 
     Between two nodes, the position is a cubic polynomial that has the direction of the body at
     both nodes.
     """
-    s, line, phi = x.mesh.grid.s, midline(x), x.y[5]
+    s, line, tau = x.mesh.grid.s, midline(x), x.directions()[:2]
     at = s[-1] - place
     i = jnp.clip(jnp.searchsorted(s, at, side="right") - 1, 0, s.shape[0] - 2)
     stretched = (1.0 + x.memory.strain[i]) * (s[i + 1] - s[i])
     u = (at - s[i]) / (s[i + 1] - s[i])
-    begin, end = (stretched * jnp.stack([jnp.cos(phi[j]), jnp.sin(phi[j])]) for j in (i, i + 1))
+    begin, end = (stretched * tau[:, j] for j in (i, i + 1))
     return (
         (1.0 + 2.0 * u) * (1.0 - u) ** 2 * line[:, i]
         + u * (1.0 - u) ** 2 * begin
@@ -46,51 +49,50 @@ def point(x: Snapshot, place: float) -> Float[Array, "2"]:
     )
 
 
-def lateral_at(x: Snapshot, place: float) -> Float[Array, ""]:
+def lateral_at(x: AnySnapshot, place: float) -> Float[Array, ""]:
     """Returns y [m] at the distance `place` [m] from the head, relative to the head."""
     return point(x, place)[1] - x.head[1]
 
 
-def angle_at(x: Snapshot, place: float) -> Float[Array, ""]:
+def angle_at(x: AnySnapshot, place: float) -> Float[Array, ""]:
     """Returns the angle [rad] of the body at the distance `place` [m] from the head."""
     s = x.mesh.grid.s
-    return jnp.interp(s[-1] - place, s, x.y[5])
+    return jnp.interp(s[-1] - place, s, x.headings())
 
 
-def turning_rate_at(x: Snapshot, place: float) -> Float[Array, ""]:
+def turning_rate_at(x: AnySnapshot, place: float) -> Float[Array, ""]:
     """Returns the turning rate [rad/s] of the body at the distance `place` [m] from the head."""
     s = x.mesh.grid.s
-    return jnp.interp(s[-1] - place, x.mesh.grid.mid(s), x.section().omega)
+    return jnp.interp(s[-1] - place, x.mesh.grid.mid(s), x.turning())
 
 
-def curvature_at(x: Snapshot, place: float) -> Float[Array, ""]:
+def curvature_at(x: AnySnapshot, place: float) -> Float[Array, ""]:
     """Returns the curvature [1/m] of the body at the distance `place` [m] from the head."""
     s = x.mesh.grid.s
-    return jnp.interp(s[-1] - place, x.mesh.grid.mid(s), x.section().kappa)
+    return jnp.interp(s[-1] - place, x.mesh.grid.mid(s), x.bending())
 
 
-def yaw_moment(x: Snapshot) -> Float[Array, ""]:
+def yaw_moment(x: AnySnapshot) -> Float[Array, ""]:
     """Returns the body's moment [N m] on the carriage, counter-clockwise from above."""
-    return -fields(x.y[:, -1]).M
+    return -x.yaw_moment()
 
 
-def forward_speed(x: Snapshot) -> Float[Array, ""]:
+def forward_speed(x: AnySnapshot) -> Float[Array, ""]:
     """Returns the speed [m/s] of the head in the tank, along the head's axis."""
-    return fields(x.y[:, -1]).V_tau
+    return x.speed()
 
 
-def tip(x: Snapshot) -> Float[Array, ""]:
+def tip(x: AnySnapshot) -> Float[Array, ""]:
     """Returns the lateral position [m] of the tail tip relative to the head."""
     return lateral(x)[0]
 
 
-def _on_sensor(x: Snapshot) -> tuple[Array, Array]:
-    head = fields(x.y[:, -1])
-    turned = head.phi - x.stage.support.sensor_angle(head.phi, x.t)
-    return to_plane(-head.T, -head.N, turned)
+def _on_sensor(x: AnySnapshot) -> tuple[Array, Array]:
+    force = x.head_force(x.stage.support.sensor_angle(x.headings()[-1], x.t))
+    return -force[0], -force[1]
 
 
-def thrust(x: Snapshot) -> Float[Array, ""]:
+def thrust(x: AnySnapshot) -> Float[Array, ""]:
     """Returns the body's forward force [N] on the carriage (-T for a rigid clamp).
 
     The axes of the forces pitch with the carriage, like the axes of the force sensor.
@@ -98,6 +100,6 @@ def thrust(x: Snapshot) -> Float[Array, ""]:
     return _on_sensor(x)[0]
 
 
-def recoil(x: Snapshot) -> Float[Array, ""]:
+def recoil(x: AnySnapshot) -> Float[Array, ""]:
     """Returns the body's force [N] to the left on the carriage; see `thrust` for the axes."""
     return _on_sensor(x)[1]

@@ -60,13 +60,14 @@ def is_free(run: TrialRun) -> bool:
 def mean_velocity(run: TrialRun, first: int, last: int) -> tuple[float, float | None]:
     """Returns the forward speed [m/s] and the course [rad] of a free robot between two steps.
 
+    A robot in three dimensions is seen from above.
     The course is None if the robot is slower than `AT_REST`.
     """
     head, ahead = run.series["head"], run.series["ahead"][first + 1 : last + 1].mean(axis=0)
-    velocity = (head[last] - head[first]) / (run.grid.h * (last - first))
+    velocity = (head[last] - head[first])[:2] / (run.grid.h * (last - first))
     speed = float(np.hypot(*velocity))
     course = None if speed < AT_REST else float(np.arctan2(velocity[1], velocity[0]))
-    return speed if velocity @ ahead >= 0.0 else -speed, course
+    return speed if velocity @ ahead[:2] >= 0.0 else -speed, course
 
 
 def is_periodic(run: TrialRun) -> tuple[bool | None, str]:

@@ -12,17 +12,23 @@ from jaxtyping import Array
 
 from slider_jax import observables as obs
 from slider_jax.beam.parameters import Numerics, grid_of
-from slider_jax.beam.state import node_positions, to_plane
+from slider_jax.beam.state import node_positions
 from slider_jax.channels import TIME, ChannelSet
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import Scheme
-from slider_jax.effects import total_force
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.prepare import PreparedTrial, StepGrid, prepare, sample_series
 from slider_jax.experiment.schema import Trial
+from slider_jax.spatial.step import (
+    SpatialCarry,
+    SpatialSnapshot,
+    at_rest_in_space,
+    spatial_rollout,
+    straight_line,
+)
 from slider_jax.water import GriddedField
 
 State = TypeVar("State")
@@ -35,27 +41,26 @@ class SavedSeries:
     """Selects the series that are saved at every step: the true reading of each channel.
 
     If `shape` is true, three series are added: `midline` (2, nodes) [m] relative to the head,
-    `moment` (nodes,) [N m], and `force` (2, cells), the effects' force per length [N/m]. If `path`
-    is true, two series are added: `head` (2,) [m], the position of the head in the tank, and
+    `moment` (nodes,) [N m] about b, and `force` (2, cells), the effects' force per length [N/m]. If
+    `path` is true, two series are added: `head` (2,) [m], the position of the head in the tank, and
     `ahead` (2,) [m], the vector from the tail to the head.
+    Vectors of a robot in three dimensions have three components.
     """
 
     channels: ChannelSet
     shape: bool = False
     path: bool = False
 
-    def __call__(self, x: Snapshot) -> dict[str, Array]:
+    def __call__(self, x: obs.AnySnapshot) -> dict[str, Array]:
         saved = self.channels.observe(x)
         if self.path:
-            saved |= {"head": x.head, "ahead": x.head - obs.midline(x)[:, 0]}
+            saved |= {"head": x.head, "ahead": x.head - x.positions()[:, 0]}
         if not self.shape:
             return saved
-        section = x.section()
-        F_tau, F_n = total_force(x.stage.effects, section)
         return saved | {
-            "midline": obs.midline(x) - x.head[:, None],
-            "moment": x.y[2],
-            "force": jnp.stack(to_plane(F_tau, F_n, section.phi)),
+            "midline": x.positions() - x.head[:, None],
+            "moment": x.moments(),
+            "force": x.force_density(),
         }
 
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
@@ -68,11 +73,11 @@ class SavedSeries:
         start = np.broadcast_to(model.drive.start, len(pressures))
         values |= dict(zip(pressures, start, strict=True))
         if self.path:
-            values |= {"head": np.zeros(2), "ahead": midline[:, -1] - midline[:, 0]}
+            values |= {"head": 0.0 * midline[:, -1], "ahead": midline[:, -1] - midline[:, 0]}
         if self.shape:
             values["midline"] = midline
             values["moment"] = np.zeros(midline.shape[1])
-            values["force"] = np.zeros((2, midline.shape[1] - 1))
+            values["force"] = np.zeros_like(midline[:, 1:])
         return values
 
 
@@ -98,6 +103,30 @@ def advance_chunk(
     """Runs `steps` steps of `h` [s] from `t0` [s]. Returns the saved series and the final state."""
     times = TimeGrid(h, steps, t0)
     run = continued(begin, model, times, save, numerics, scheme)
+    return run.saved, run.final
+
+
+@eqx.filter_jit
+def _begin_in_space(model: Model, numerics: Numerics) -> tuple[SpatialCarry, jax.Array]:
+    """Returns the state at rest, and its midline (3, nodes) [m] relative to the head."""
+    carry = at_rest_in_space(model, numerics)
+    return carry, straight_line(carry, grid_of(model.body, numerics).s)
+
+
+@eqx.filter_jit
+def _advance_in_space(
+    model: Model,
+    h: jax.Array,
+    t0: jax.Array,
+    begin: SpatialCarry,
+    save: Callable[[SpatialSnapshot], Any],
+    numerics: Numerics,
+    scheme: Scheme,
+    steps: int,
+) -> tuple[Any, SpatialCarry]:
+    """Does the same as `advance_chunk` in three dimensions."""
+    times = TimeGrid(h, steps, t0)
+    run = spatial_rollout(model, times, save, numerics, scheme, begin=begin, checkpoint=False)
     return run.saved, run.final
 
 
@@ -173,15 +202,17 @@ def simulate_prepared(
     """
     model, numerics, grid = prepared.model, prepared.numerics, prepared.grid
     save = SavedSeries(prepared.channels, shape, path=prepared.trial.support == "free")
-    start, line = _begin(model, numerics)
+    spatial = model.space is not None
+    start, line = (_begin_in_space if spatial else _begin)(model, numerics)
+    run_chunk: Callable = _advance_in_space if spatial else advance_chunk
     h = jnp.asarray(grid.h)
 
-    def advance(done: int, carry: Carry):
+    def advance(done: int, carry: Any):
         t0 = jnp.asarray(grid.h * done)
-        saved, carry = advance_chunk(model, h, t0, carry, save, numerics, prepared.scheme, chunk)
+        saved, carry = run_chunk(model, h, t0, carry, save, numerics, prepared.scheme, chunk)
         return jax.tree.map(np.asarray, saved), carry
 
-    def after(done: int, saved, carry: Carry) -> None:
+    def after(done: int, saved, carry: Any) -> None:
         if float(carry.failed_at) < grid.h * (grid.steps + 0.5):
             raise _failure(prepared, float(carry.failed_at))
         progress(done, grid.steps)

@@ -21,12 +21,12 @@ from slider_jax.beam.spatial import (
     turned,
     unit,
 )
-from slider_jax.dynamics.model import Model
+from slider_jax.dynamics.model import Model, SpaceSettings
 from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
 from slider_jax.dynamics.pressures import Chambers, chamber_history, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme, extrapolation
-from slider_jax.effects.base import in_space
+from slider_jax.effects.base import in_space, total_load
 from slider_jax.spatial.mesh import SpatialMesh, spatial_mesh
 from slider_jax.spatial.residual import (
     LEFT,
@@ -105,6 +105,53 @@ class SpatialSnapshot(eqx.Module):
         none = jnp.zeros((3, 1), behind.dtype)
         return self.memory.head[:, None] - jnp.concatenate([behind, none], axis=1)
 
+    @property
+    def head(self) -> Float[Array, "3"]:
+        """Position (x, y, z) [m] of the head."""
+        return self.memory.head
+
+    def directions(self) -> Float[Array, "3 nodes"]:
+        """Returns the unit vectors tau (x, y, z) at the nodes."""
+        one = jnp.ones_like(self.frame[0])
+        return Quaternion(*self.frame).to_space(Vec(one, 0.0 * one, 0.0 * one))
+
+    def headings(self) -> Float[Array, " nodes"]:
+        """Returns the angle [rad] of tau, seen from above, to the x axis at the nodes."""
+        x, y, _ = self.directions()
+        return jnp.unwrap(jnp.arctan2(y, x)[::-1])[::-1]
+
+    def turning(self) -> Float[Array, " cells"]:
+        """Returns the rate of turning [rad/s] about z in the cells."""
+        x = self.section()
+        return x.frame.to_space(x.omega)[2]
+
+    def bending(self) -> Float[Array, " cells"]:
+        """Returns the curvature [1/m] about b in the cells."""
+        return self.section().curvature.b
+
+    def moments(self) -> Float[Array, " nodes"]:
+        """Returns the bending moment [N m] about b at the nodes."""
+        return self.y[5]
+
+    def head_force(self, angle: Array) -> tuple[Array, Array]:
+        """Returns the force [N] on the head along axes that are turned by `angle` [rad] about z."""
+        x, y, _ = at(Quaternion(*self.frame), -1).to_space(Vec(*self.y[:3, -1]))
+        c, s = jnp.cos(angle), jnp.sin(angle)
+        return c * x + s * y, c * y - s * x
+
+    def yaw_moment(self) -> Array:
+        """Returns the moment [N m] on the head about z."""
+        return at(Quaternion(*self.frame), -1).to_space(Vec(*self.y[3:6, -1]))[2]
+
+    def speed(self) -> Array:
+        """Returns the speed [m/s] of the head along tau."""
+        return self.y[6, -1]
+
+    def force_density(self) -> Float[Array, "3 cells"]:
+        """Returns the force per length (x, y, z) [N/m] of the effects in the cells."""
+        x = self.section()
+        return x.frame.to_space(total_load(self.stage.effects, x).force)
+
 
 class SpatialRollout(eqx.Module):
     """Result of a rollout: times [s], quantities saved at each step, final carry, and mesh."""
@@ -120,8 +167,8 @@ class SpatialRollout(eqx.Module):
         return self.final.ok
 
 
-def check_in_space(model: Model) -> None:
-    """Raises `ValueError` if the model contains something that is defined in the plane only."""
+def settings_in_space(model: Model) -> SpaceSettings:
+    """Returns `model.space`. Raises `ValueError` if the model contains something planar only."""
     wrong = [effect.name() for effect in model.effects if not in_space(effect)]
     if wrong:
         raise ValueError(
@@ -132,8 +179,11 @@ def check_in_space(model: Model) -> None:
         raise ValueError("a robot in three dimensions has chambers, and no other actuators yet")
     if isinstance(model.water, WaterField):
         raise ValueError("a robot in three dimensions needs uniform water")
+    if model.space is None:
+        raise ValueError("a model in three dimensions needs `space`, a `SpaceSettings`")
     if model.robot.stiffening is not None:
         raise ValueError("a robot in three dimensions has no stiffening by pressure yet")
+    return model.space
 
 
 def _scales(model: Model) -> Float[Array, "12 1"]:
@@ -146,15 +196,13 @@ def _space(x) -> Float[Array, "..."]:
     return jnp.concatenate([x, jnp.zeros_like(x[..., :1])], axis=-1)
 
 
-def make_spatial_step(
-    model: Model, mesh: SpatialMesh, numerics: Numerics, scheme: Scheme, angles: Array
-):
+def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, scheme: Scheme):
     """Returns the function that advances a `SpatialCarry` by one step; see `make_step`."""
     solver = BeamNewton(rtol=numerics.tolerance)
     scale = _scales(model)
     predict = jnp.asarray(extrapolation(scheme))
     nodes, weights = jnp.asarray(scheme.nodes), jnp.asarray(scheme.weights)
-    grid = mesh.grid
+    grid, angles = mesh.grid, jnp.asarray(settings_in_space(model).angles, float)
     zero = jnp.zeros_like(grid.ds)
 
     def mean_of(x: Float[Array, "3 nodes"]) -> Vec:
@@ -278,12 +326,13 @@ def at_rest_in_space(
     """Returns the carry of an unloaded straight body at rest relative to its support at `t0` [s].
 
     `attitude` is the frame of the body before the support turns it about z; by default, tau is
-    along x and b along z.
+    along x, and the body is rolled by `space.roll`.
     """
+    roll = settings_in_space(model).roll
     t = jnp.asarray(t0, float)
     velocity, angle, rate = model.support.start(t)
     one = jnp.ones_like(t)
-    own = Quaternion(one, 0.0 * one, 0.0 * one, 0.0 * one) if attitude is None else attitude
+    own = turned(Vec(roll * one, 0.0 * one, 0.0 * one)) if attitude is None else attitude
     about_z = turned(Vec(0.0 * one, 0.0 * one, jnp.asarray(angle, float)))
     frame = about_z.after(own)
     mesh = spatial_mesh(model.body, numerics)
@@ -316,6 +365,12 @@ def at_rest_in_space(
     )
 
 
+def straight_line(carry: SpatialCarry, s: Float[Array, " nodes"]) -> Float[Array, "3 nodes"]:
+    """Returns the positions [m] of the nodes `s` [m] of a straight body, relative to the head."""
+    zero = jnp.zeros_like(s)
+    return Quaternion(*carry.frames[-1]).to_space(Vec(s - s[-1], zero, zero))
+
+
 def spatial_rollout(
     model: Model,
     times: TimeGrid,
@@ -323,29 +378,24 @@ def spatial_rollout(
     numerics: Numerics = Numerics(),
     scheme: Scheme = SDIRK2,
     *,
-    angles: Float[Array, " chambers"] | None = None,
     begin: SpatialCarry | None = None,
     checkpoint: bool = True,
 ) -> SpatialRollout:
     """Integrates `model` in three dimensions; see `dynamics.rollout.rollout`.
 
-    `angles` (chambers,) [rad] are the directions of the chambers around the axis, from n towards b.
-    At 0, a chamber bends the body in its plane (tau, n), as in two dimensions. The water is
-    uniform. Raises `ValueError` for a model that contains something of the plane only.
+    The water is uniform. Raises `ValueError` for a model without `space`, or for a model that
+    contains something of the plane only.
     """
-    check_in_space(model)
     mesh = spatial_mesh(model.body, numerics)
     if begin is None:
         begin = at_rest_in_space(model, numerics, times.t0)
-    if angles is None:
-        angles = jnp.zeros(len(mesh.chambers))
     begins = times.t0 + times.h * jnp.arange(float(times.steps))
     instants = begins[:, None] + times.h * jnp.asarray(scheme.nodes)  # (steps, stages)
     instants = jnp.concatenate([jnp.asarray(times.t0, instants.dtype)[None], instants.ravel()])
     chambers = chamber_history(model, begin.chambers, instants)
     shape = (times.steps, scheme.stages)
     stages = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), chambers)
-    step = make_spatial_step(model, mesh, numerics, scheme, jnp.asarray(angles, float))
+    step = make_spatial_step(model, mesh, numerics, scheme)
 
     def body(carry, inputs):
         t, chambers = inputs

@@ -39,8 +39,10 @@ class Gravity(ForceDensity):
     """Angle [rad] of the upward direction from the x axis; 1.5708 if the y axis points up."""
     elevation: Scalar = eqx.field(default=0.0)
     """Angle [rad] of the upward direction from the plane (x, y); 1.5708 if the z axis points up."""
-    buoyancy_arm: tuple[Scalar, Scalar] = eqx.field(default=(0.0, 0.0))
-    """Position (n, b) [m] of the centre of buoyancy relative to the centre of mass."""
+    buoyancy_n: Scalar = eqx.field(default=0.0)
+    """Position [m] of the centre of buoyancy along n, relative to the centre of mass."""
+    buoyancy_b: Scalar = eqx.field(default=0.0)
+    """Position [m] of the centre of buoyancy along b, relative to the centre of mass."""
     density: Scalar = eqx.field(default=0.0)
     """Density rho [kg/m^3] of the water around the robot; 0 in air."""
 
@@ -55,6 +57,5 @@ class Gravity(ForceDensity):
         up = x.frame.to_frame(jnp.stack([jnp.asarray(a, float) for a in axes]))
         per_length = self.g / (1.0 + x.strain)
         lift = jnp.zeros_like(per_length) if s.area is None else self.density * s.area * per_length
-        n, b = (arm * lift for arm in self.buoyancy_arm)
-        arm = Vec(jnp.zeros_like(lift), n, b)
+        arm = Vec(jnp.zeros_like(lift), self.buoyancy_n * lift, self.buoyancy_b * lift)
         return SpatialLoad(up.times(lift - s.linear_density * per_length), arm.cross(up))

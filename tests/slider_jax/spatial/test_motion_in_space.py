@@ -13,12 +13,14 @@ import pytest
 from slider_jax.actuation import SineWave
 from slider_jax.beam.parameters import Numerics
 from slider_jax.beam.spatial import Quaternion, Vec, rate_of, rotation_vector, turned, turning_of
+from slider_jax.dynamics.model import SpaceSettings
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.time_schemes import BACKWARD_EULER, SDIRK2
 from slider_jax.effects import NormalDrag, ReactiveForce
 from slider_jax.effects.body.gravity import Gravity
 from slider_jax.effects.body.tail_stiffness import TailStiffness
 from slider_jax.effects.water.tangential_friction import TangentialFriction
+from slider_jax.errors import InputError
 from slider_jax.rod.equilibrium import solve_equilibrium
 from slider_jax.rod.loads import RodLoads
 from slider_jax.rod.rod import Rod
@@ -30,10 +32,10 @@ L, EI_N, EI_B, GJ, J, MASS = 0.368, 0.152, 0.038, 0.05, 2e-5, 0.7
 NUM = Numerics(tail_cells=8, body_cells=32)
 
 
-def spatial(model, GJ=GJ, EI_n=EI_N, J=J):
+def spatial(model, GJ=GJ, EI_n=EI_N, J=J, angles=(0.0, 0.0)):
     """Returns the model with the properties that a robot in three dimensions needs."""
     robot = model.robot.with_parts(lambda p: replace(p, GJ=GJ, EI_n=EI_n, polar_inertia=J))
-    return arrays(replace(model, robot=robot))
+    return arrays(replace(model, robot=robot, space=SpaceSettings(jnp.asarray(angles))))
 
 
 def rolled(angle) -> Quaternion:
@@ -66,7 +68,8 @@ def test_a_planar_run_in_rotated_planes_is_the_planar_programs(support):
     model = spatial(swimmer(2.0, 30e3, wave=SineWave, support=support, effects=effects))
     numerics = replace(SMALL, tolerance=1e-11)
     times = TimeGrid(0.01, 25)
-    planar = jax.jit(lambda: rollout(model, times, lambda x: (x.y, x.head), numerics))()
+    flat = replace(model, space=None)
+    planar = jax.jit(lambda: rollout(flat, times, lambda x: (x.y, x.head), numerics))()
 
     @jax.jit
     def run(attitude):
@@ -180,30 +183,30 @@ def test_a_rolled_strip_under_its_weight_hangs_as_the_static_rod():
     np.testing.assert_allclose(found.saved[-1], rest, rtol=0, atol=1e-3 * L)
 
 
-def strip_swimmer(angle=0.7, C_d=2.0, EI=0.02, **in_space):
+def strip_swimmer(angle=jnp.asarray(0.7), C_d=2.0, EI=0.02, **in_space):
     """A swimmer whose chambers are off the planes of symmetry of its section."""
     robot = {"EI_body": EI}
     model = swimmer(4.8, wave=SineWave, phase=0.0, C_d=C_d, k=0.05, support=Free(), **robot)
-    return spatial(model, **in_space), jnp.asarray([angle, -angle])
+    return spatial(model, angles=jnp.stack([angle, -angle]), **in_space)
 
 
-def readings(model, angles, steps, span, numerics, scheme=SDIRK2):
+def readings(model, steps, span, numerics, scheme=SDIRK2):
     def save(x):
         return jnp.concatenate([x.positions()[:, 0], x.positions()[:, -1], x.memory.omega[:, 0]])
 
     times = TimeGrid(span / steps, steps)
-    return spatial_rollout(model, times, save, numerics, scheme, angles=angles)
+    return spatial_rollout(model, times, save, numerics, scheme)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["time", "space"])
 def test_order_in_time_and_in_space_is_two(what):
     runs = []
-    model, angles = strip_swimmer()
+    model = strip_swimmer()
     for n in (10, 20, 40, 80):
         numerics = SMALL if what == "time" else Numerics(tail_cells=n // 5, body_cells=4 * n // 5)
         steps = 4 * n if what == "time" else 160
-        found = jax.jit(lambda m, a: readings(m, a, steps, 0.2, numerics))(model, angles)  # noqa: B023
+        found = jax.jit(lambda m: readings(m, steps, 0.2, numerics))(model)  # noqa: B023
         assert found.ok
         runs.append(np.array(found.saved)[steps // 40 - 1 :: steps // 40])
     size = np.sqrt(np.mean(runs[-1] ** 2, axis=0)).reshape(3, 3).max(axis=1).repeat(3)
@@ -221,9 +224,9 @@ def test_derivatives_agree_forward_in_reverse_and_by_differences():
     values = jnp.array([0.7, 2.0, 0.02, EI_N, GJ])
 
     def tip(x):
-        model, angles = strip_swimmer(x[0], x[1], x[2], EI_n=x[3], GJ=x[4])
+        model = strip_swimmer(x[0], x[1], x[2], EI_n=x[3], GJ=x[4])
         numerics = replace(SMALL, tolerance=1e-13)
-        return jnp.sum(readings(model, angles, 12, 0.06, numerics).saved[-1])
+        return jnp.sum(readings(model, 12, 0.06, numerics).saved[-1])
 
     forward = jax.jit(jax.jacfwd(tip))(values)
     backward = jax.jit(jax.grad(tip))(values)
@@ -243,7 +246,12 @@ def test_what_is_defined_in_the_plane_only_is_refused():
         wrong = replace(model, effects=(*model.effects, TailStiffness(0.1)))
         spatial_rollout(wrong, times, lambda x: x.t)
     with pytest.raises(ValueError, match="GJ of body or tail is absent"):
+        bare = replace(model, robot=model.robot.with_parts(lambda p: replace(p, GJ=None)))
+        spatial_rollout(bare, times, lambda x: x.t)
+    with pytest.raises(ValueError, match="needs `space`"):
         spatial_rollout(swimmer(), times, lambda x: x.t)
+    with pytest.raises(InputError, match="dimension: given 3; allowed 2"):
+        rollout(model, times, lambda x: x.t)
     bare = model.robot.with_parts(lambda p: replace(p, polar_inertia=None))
     with pytest.raises(ValueError, match="polar_inertia of body or tail is absent"):
         spatial_rollout(replace(model, robot=bare), times, lambda x: x.t)
