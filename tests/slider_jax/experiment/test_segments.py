@@ -37,7 +37,9 @@ def thrust_of(path):
     return np.asarray(simulate_trial(load(path)).series["thrust"])
 
 
-@pytest.mark.parametrize("count", [1, 2, 5, 20])
+@pytest.mark.parametrize(
+    "count", [1, 2, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 20))]
+)
 def test_a_body_in_equal_segments_is_the_uniform_body(tmp_path, count):
     uniform = thrust_of(write_small_experiment(tmp_path))
     cut = with_segments(tmp_path, count * segment(0.3 / count, 0.038) + TAIL)
