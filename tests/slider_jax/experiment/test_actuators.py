@@ -10,7 +10,7 @@ import pytest
 from slider_jax.beam.parameters import Numerics
 from slider_jax.dynamics.pressures import start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, rollout
-from slider_jax.dynamics.statics import Loads, at_rest_under
+from slider_jax.dynamics.statics import Loads
 from slider_jax.dynamics.time_schemes import SDIRK2
 from slider_jax.errors import InputError
 from slider_jax.experiment import drive
@@ -23,7 +23,7 @@ from slider_jax.simulation.trial import simulate_trial
 from slider_jax.swimming.gait import to_climber
 from tests.support.chambers import chamber_history
 from tests.support.experiments import refusal_of, write_small_experiment
-from tests.support.helpers import arrays
+from tests.support.helpers import arrays, static_state
 
 SPANS = "front_chamber = [0.02, 0.145]\nrear_chamber = [0.155, 0.28]\n"
 
@@ -151,12 +151,12 @@ def test_co_contraction_stiffens_the_body_without_bending_it(tmp_path):
     EI = float(robot.body.EI) + 2.0 * c * base
     numerics = Numerics(tail_cells=10, body_cells=40)
     pressures = np.array([base + 0.5 * difference, 0.5 * difference - base])
-    bent = at_rest_under(model, Loads(jnp.zeros(2), jnp.asarray(pressures)), numerics)
+    bent = static_state(model, Loads(jnp.zeros(2), jnp.asarray(pressures)), numerics)
     turn = float(robot.K_Q) * difference * body / EI
     y = body * (1.0 - math.cos(turn)) / turn + t * math.sin(turn)
     np.testing.assert_allclose(bent.shape[1, 0], y, rtol=1e-3)
     still = Loads(jnp.asarray([0.0, force]), jnp.asarray([base, -base]))
-    loaded = at_rest_under(model, still, numerics)
+    loaded = static_state(model, still, numerics)
     L = t + body
     y = force * ((L**3 - t**3) / EI + t**3 / float(robot.tail.EI)) / 3.0
     np.testing.assert_allclose(loaded.shape[1, 0], y, rtol=1e-3)
