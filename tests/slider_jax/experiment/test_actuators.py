@@ -169,6 +169,10 @@ def test_chambers_without_stiffening_have_the_same_program(tmp_path):
         for keys in ("", "stiffening = 0.0", "stiffening = 1e-7")
     )
     assert jax.tree.structure(plain) == jax.tree.structure(null) != jax.tree.structure(stiff)
+
+
+@pytest.mark.slow
+def test_stiffening_reduces_the_motion_and_not_the_pressure(tmp_path):
     series = series_of(with_actuators(tmp_path, chamber("only", 0.02, 0.28, "stiffening = 1e-7")))
     free = series_of(with_actuators(tmp_path, chamber("only", 0.02, 0.28)))
     np.testing.assert_array_equal(series["p_only"], free["p_only"])
