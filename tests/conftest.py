@@ -3,6 +3,7 @@
 import fcntl
 import gc
 import os
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -125,6 +126,42 @@ def few_memory_maps():
 def no_kept_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands in this process keep no programs, because a test may have changed a function."""
     monkeypatch.setattr("calibration.model.stored_programs.kept_programs", nullcontext)
+
+
+@pytest.fixture(scope="module")
+def drawn() -> dict:
+    """The pictures that the tests of a file have drawn, by the lines of code that save them."""
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def no_picture_twice(request, monkeypatch: pytest.MonkeyPatch, drawn: dict) -> None:
+    """Draws the first picture of a line of code; later ones of the same test file are copies of it.
+
+    Drawing takes far longer than making the figure, which every test does. The tests that look at
+    their pictures draw them all, and so do slow tests.
+    """
+    figure = sys.modules.get("matplotlib.figure")
+    if figure is None or any(request.node.get_closest_marker(x) for x in ("slow", "draws")):
+        return
+    draw = figure.Figure.savefig
+
+    def savefig(self, target, **options):
+        frame, place = sys._getframe(1), []
+        for _ in range(2):
+            place.append((frame.f_code.co_filename, frame.f_lineno))
+            frame = frame.f_back
+        is_file = isinstance(target, str | Path)
+        key = (*place, options.get("format") or (Path(target).suffix if is_file else ""))
+        if key not in drawn:
+            draw(self, target, **options)
+            drawn[key] = Path(target).read_bytes() if is_file else target.getvalue()
+        elif is_file:
+            Path(target).write_bytes(drawn[key])
+        else:
+            target.write(drawn[key])
+
+    monkeypatch.setattr(figure.Figure, "savefig", savefig)
 
 
 @pytest.fixture(scope="session")

@@ -104,6 +104,7 @@ def test_a_repair_of_swapped_columns_keeps_the_channel(marked):
         np.testing.assert_array_equal(r.values, before.values[[2, 1, 0, 3, 4, 5]])
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_column(marked, tmp_path):
     from slider_jax.cli.main import main
 

@@ -18,6 +18,13 @@ LAG = FirstOrderLag(K)
 chamber_history = eqx.filter_jit(pneumatics.chamber_history)
 
 
+@eqx.filter_jit
+def _history(model, times):
+    begin = pneumatics.start_chambers(model)
+    rest = pneumatics.chamber_history(model, begin, times)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin, rest)
+
+
 def pressure_history(law, waveform, start, times):
     """Returns the pressure [Pa] at increasing `times` [s]; it is `start` [Pa] at the first time."""
     segments = jax.vmap(waveform.segment)(times[:-1], times[1:])
@@ -35,9 +42,12 @@ def chambers(effects, front, rear, t, start=0.0, law=LAG):
     """Returns the chambers' history (n, ...) from the pressure `start` [Pa] in both."""
     model = Model(uniform_robot(), tuple(effects), law, Drive((front, rear), start), Clamped())
     model = arrays(model)
-    begin = pneumatics.start_chambers(model)
-    rest = chamber_history(model, begin, jnp.asarray(t))
-    return jax.tree.map(lambda a, b: np.concatenate([a[None], b]), begin, rest)
+    count = len(t)
+    # Few lengths occur, because each length has its own compiled program.
+    missing = max(1024, 2 ** int(np.ceil(np.log2(count)))) - count
+    more = t[-1] + (t[-1] - t[-2]) * np.arange(1, missing + 1)
+    found = _history(model, jnp.asarray(np.concatenate([t, more])))
+    return jax.tree.map(lambda x: np.asarray(x)[:count], found)
 
 
 def held(p_set):

@@ -13,6 +13,7 @@ from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.dynamics.model import Drive, Model, make_mesh
 from slider_jax.dynamics.residual import Stage, residual
 from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.statics import at_rest_under
 from slider_jax.dynamics.step import at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2
 from slider_jax.effects import NormalDrag, ReactiveForce, Readings
@@ -48,6 +49,14 @@ def swimmer(
 def arrays(tree):
     """Returns the tree with float64 arrays, so that all values share one compiled program."""
     return jax.tree.map(lambda x: jnp.asarray(x, float), tree)
+
+
+_static_state = eqx.filter_jit(at_rest_under)
+
+
+def static_state(model, loads, numerics=Numerics(), t=0.0):
+    """Returns `at_rest_under`, compiled once for all models of the same structure."""
+    return _static_state(arrays(model), arrays(loads), numerics, jnp.asarray(t, float))
 
 
 def uniform(L=0.368, EI=0.038, effects=(), support=None, **robot) -> Model:

@@ -172,7 +172,9 @@ def test_an_undriven_trial_is_not_compared():
     assert declared_drives(trial, 3) is None and declared_drives(trial, 0) is None
 
 
-@pytest.mark.parametrize("ratios", [[1.0, 0.0, 0.5], [0.0, 1.0, 0.5]])
+@pytest.mark.parametrize(
+    "ratios", [pytest.param([1.0, 0.0, 0.5], marks=pytest.mark.slow), [0.0, 1.0, 0.5]]
+)
 def test_a_chamber_without_amplitude_does_not_hide_faults_of_the_others(ratios):
     """The trials 0 and 4 drive two of the three chambers; the other trials drive all of them."""
     given = records(3)

@@ -25,8 +25,6 @@ from slider_jax.errors import InputError
 from slider_jax.io.toml import read_toml, validate
 from tests.support.data import ROOT
 
-pytestmark = pytest.mark.optimised
-
 ROBOT = {
     "body_length": 0.3, "tail_length": 0.07, "linear_density": 0.7, "EI_body": 0.038,
     "EI_tail": 0.0058, "damping_time": 0.002, "height": 0.03,

@@ -20,9 +20,16 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from slider_jax.io.files import LOADED_FILES
 from tests.support.damage import RUNS as DAMAGE_RUNS, write_experiment
-from tests.support.small_tank import BASE, CANDIDATES, MESH, NULLS, RUNS, TANK, close_small_tank
-
-pytestmark = pytest.mark.optimised
+from tests.support.small_tank import (
+    BASE,
+    CANDIDATES,
+    MESH,
+    NULLS,
+    OF_ONE_BODY,
+    RUNS,
+    TANK,
+    close_small_tank,
+)
 
 SOURCE = {"path": "tank.toml", "sha256": 4 * "abcdef"}
 
@@ -34,7 +41,9 @@ def null(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def delayed(tmp_path_factory):
-    return close_small_tank(tmp_path_factory.mktemp("delayed"), {"valve_delay": {"delay": 0.02}}, 1)
+    """Tested by default: one program of robot and water serves all fits."""
+    folder = tmp_path_factory.mktemp("delayed")
+    return close_small_tank(folder, {"valve_delay": {"delay": 0.02}}, 1, OF_ONE_BODY)
 
 
 def covers(outcome, name, truth):
@@ -72,7 +81,7 @@ def test_the_report_is_complete_and_the_model_file_loads(delayed, tmp_path, monk
     assert k["without_effects"] > k["high"]  # without the effect, the lag compensates for the delay
     assert max(record["left_over_noise"].values()) < 1.1
     assert record["errors"]["p_front"]["after"] < 0.2 * record["errors"]["p_front"]["before"]
-    assert {row["name"] for row in record["candidates"]} == set(CANDIDATES)
+    assert {row["name"] for row in record["candidates"]} == set(OF_ONE_BODY)
     html = loop_page(delayed, record)
     assert html.count("data:image/png") == 2 and "valve_delay" in html
     assert "Verdict: identified. Data: tank.toml (sha256 abcdefabcdef)" in html

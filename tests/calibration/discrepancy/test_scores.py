@@ -179,7 +179,7 @@ def test_trials_agree_if_several_gain_much_and_none_loses_much(gains, agreed):
 @pytest.mark.parametrize(
     ("trials", "most"),
     [
-        (2, 0.015),
+        pytest.param(2, 0.015, marks=pytest.mark.slow),
         (3, 0.035),
         pytest.param(4, 0.025, marks=pytest.mark.slow),
         pytest.param(8, 0.015, marks=pytest.mark.slow),

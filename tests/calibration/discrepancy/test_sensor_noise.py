@@ -67,6 +67,7 @@ def report(found):
     return record, loop_page(found, record)
 
 
+@pytest.mark.slow
 def test_correct_noise_is_used_as_declared(tmp_path):
     found = outcome(tmp_path)
     assert found.verdict == "nothing_missing"

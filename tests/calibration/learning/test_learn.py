@@ -19,12 +19,13 @@ from calibration.learning.report import (
     with_learned,
 )
 from calibration.measurements.synthetic import Truth, random_trials, write_tank
+from calibration.model.plan import Resolution
 from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.effects.library import load_effects
 from slider_jax.experiment.load import load
 from slider_jax.simulation.trial import simulate_trial
 from tests.support.own_effects import restored_library
-from tests.support.small_tank import BASE, CANDIDATES, MESH, NULLS, TANK
+from tests.support.small_tank import BASE, CANDIDATES, NULLS, TANK
 
 pytestmark = [pytest.mark.optimised, pytest.mark.slow]
 
@@ -45,6 +46,7 @@ class SquaredFlow(Flow):
         return rate * (1.0 - self.c * (x.p / 250e3) ** 2)
 '''
 SHARE = 0.3
+MESH = Resolution(13, 40, 4.0e-3)
 RUNS = [run | {"duration": 0.8} for run in random_trials(3, count=12)[4:]]
 
 

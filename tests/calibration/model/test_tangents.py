@@ -11,7 +11,7 @@ from calibration.model.tangents import reading_tangents
 from slider_jax.experiment.load import load
 from tests.support.data import ROOT
 
-NAMES = ("leakage", "line_lag", "clamp_compliance", "force_crosstalk", "valve_deadband")
+NAMES = ("leakage", "clamp_compliance", "force_crosstalk", "valve_deadband")
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +47,7 @@ def test_an_omitted_effect_changes_no_tangent(trial):
     band = [x.effect for x in model_parameters(NAMES)].index("valve_deadband")
     unit = np.eye(len(theta))
     rest = np.delete(unit, band, axis=0)
-    for directions, names in (
-        (rest, ("leakage", "line_lag")),
-        (unit, ("leakage", "line_lag", "valve_deadband")),
-    ):
+    for directions, names in ((rest, ("leakage",)), (unit, ("leakage", "valve_deadband"))):
         part = acting_part(p.extended, Part.PRESSURES, theta, directions)
         assert part.extended.effects == names
     omitted = reading_tangents(p, theta, rest)

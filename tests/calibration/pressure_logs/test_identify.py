@@ -265,6 +265,7 @@ def test_simulate_runs_the_command_through_the_model(tmp_path, short_log, coarse
     assert (out / "short.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_simulate_can_use_the_measured_pressure(tmp_path, short_log, coarse):
     out = tmp_path / "out"
     assert main(["simulate", str(short_log), "--drive", "measured", "--out", str(out)]) == 0

@@ -10,12 +10,21 @@ import pytest
 from slider_jax.actuation import TravellingWave, midline_shape, recorded_shape
 from slider_jax.beam.parameters import Numerics, grid_of
 from slider_jax.beam.state import node_positions
-from slider_jax.dynamics.statics import Loads, at_rest_under
+from slider_jax.dynamics.statics import Loads
 from slider_jax.dynamics.step import at_rest
 from slider_jax.effects import ReactiveForce
 from slider_jax.errors import InputError
 from slider_jax.supports import Clamped, Free
-from tests.support.helpers import SMALL, arrays, march, observe, order, swimmer, uniform
+from tests.support.helpers import (
+    SMALL,
+    arrays,
+    march,
+    observe,
+    order,
+    static_state,
+    swimmer,
+    uniform,
+)
 
 L = 0.368
 FINE = Numerics(tail_cells=10, body_cells=40)
@@ -103,7 +112,7 @@ def test_static_state_has_the_prescribed_curvature_in_the_span():
     """Exact in the span; behind the span, the unloaded body is straight."""
     actuator = wave(near=0.1, far=0.25)
     model = with_actuators(uniform(L), actuator)
-    found = at_rest_under(model, Loads(jnp.zeros(2), jnp.zeros(2)), SMALL, t=0.2)
+    found = static_state(model, Loads(jnp.zeros(2), jnp.zeros(2)), SMALL, t=0.2)
     at = distances(model, SMALL)
     wanted = np.where((at > 0.1) & (at < 0.25), actuator.curvature(at, 0.2), 0.0)
     kappa = np.asarray(grid_of(model.body, SMALL).slope(found.y[5]))

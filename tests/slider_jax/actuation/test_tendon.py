@@ -14,9 +14,18 @@ from slider_jax.beam.parameters import Numerics, grid_of
 from slider_jax.dynamics.block_solver import BeamSolver
 from slider_jax.dynamics.residual import jacobian, residual, tensions_of
 from slider_jax.dynamics.rollout import TimeGrid, rollout
-from slider_jax.dynamics.statics import Loads, at_rest_under, release
+from slider_jax.dynamics.statics import Loads, release
 from slider_jax.effects import NormalDrag, ReactiveForce
-from tests.support.helpers import SMALL, arrays, flat_residual, march, order, stage_of, uniform
+from tests.support.helpers import (
+    SMALL,
+    arrays,
+    flat_residual,
+    march,
+    order,
+    stage_of,
+    static_state,
+    uniform,
+)
 
 L, EI, EA = 0.368, 0.038, 2.0e3
 NONE = Loads(jnp.zeros(2), jnp.zeros(2))
@@ -36,7 +45,7 @@ def rod(*actuators, effects=(), **robot):
 
 def at_rest(model, numerics=FINE):
     """The static state, its curvature (cells,) and the nodes' distances from the tail."""
-    found = eqx.filter_jit(at_rest_under)(model, NONE, numerics)
+    found = static_state(model, NONE, numerics)
     grid = grid_of(model.robot, numerics)
     assert bool(found.ok)
     return found, np.asarray(grid.slope(found.y[5])), np.asarray(grid.s)

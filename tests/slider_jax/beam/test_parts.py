@@ -9,8 +9,8 @@ import pytest
 from slider_jax.beam.parameters import Numerics, Robot
 from slider_jax.beam.parts import RobotPart
 from slider_jax.dynamics.model import Model, make_mesh
-from slider_jax.dynamics.statics import Loads, at_rest_under
-from tests.support.helpers import arrays, uniform
+from slider_jax.dynamics.statics import Loads
+from tests.support.helpers import arrays, static_state, uniform
 
 L, FORCE = 0.4, 0.002
 MESH = Numerics(tail_cells=8, body_cells=33)
@@ -36,7 +36,7 @@ def rod(lengths, **properties) -> Model:
 def tip_under(model: Model, numerics=MESH) -> float:
     """Returns the tip's displacement [m] under the small transverse force `FORCE`."""
     loads = Loads(jnp.array([0.0, FORCE]), jnp.zeros(2))
-    found = at_rest_under(model, loads, numerics)
+    found = static_state(model, loads, numerics)
     assert bool(found.ok)
     return float(found.shape[1, 0])
 

@@ -57,7 +57,7 @@ def test_an_experiment_may_contain_effects_of_the_file_which_the_result_records(
     assert record["effect_files"] == [{"path": str(path), "sha256": digest}]
 
 
-@pytest.mark.parametrize("end", ["changed", "deleted"])
+@pytest.mark.parametrize("end", ["changed", pytest.param("deleted", marks=pytest.mark.slow)])
 def test_a_file_that_changes_during_the_run_gives_an_error_and_no_result(
     end, tmp_path, experiment, capsys, monkeypatch
 ):

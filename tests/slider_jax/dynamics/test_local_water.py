@@ -266,7 +266,10 @@ def budget(x):
     )
 
 
-@pytest.fixture(scope="module", params=[Free(), Clamped(heave=0.02, frequency=2.0)])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(Free(), marks=pytest.mark.slow), Clamped(heave=0.02, frequency=2.0)],
+)
 def swum(request):
     model = swimmer(
         frequency=2.0, wave=SineWave, C_d=C_D, support=request.param, EA_body=1e6, EA_tail=1e6

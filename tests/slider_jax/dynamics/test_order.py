@@ -31,7 +31,9 @@ def changes(runs):
     return [np.sqrt(np.mean((a - b) ** 2, axis=0)) / size for a, b in itertools.pairwise(runs)]
 
 
-@pytest.mark.parametrize("scheme", [BACKWARD_EULER, SDIRK2], ids=lambda s: s.name)
+@pytest.mark.parametrize(
+    "scheme", [pytest.param(BACKWARD_EULER, marks=pytest.mark.slow), SDIRK2], ids=lambda s: s.name
+)
 def test_order_in_time_is_the_schemes_own(scheme):
     steps = [160, 320, 640, 1280]
     error = np.array(changes([series(SMALL, scheme, n, 80) for n in steps]))

@@ -28,7 +28,7 @@ def test_float32_raises_an_error_that_names_enable_float64():
     jax.config.update("jax_enable_x64", False)
     try:
         with pytest.raises(ValueError, match=r"float64.*enable_float64"):
-            rollout(swimmer(), TimeGrid(1e-3, 2), observe, SMALL)
+            jax.eval_shape(lambda: rollout(swimmer(), TimeGrid(1e-3, 2), observe, SMALL))
     finally:
         jax.config.update("jax_enable_x64", True)
 

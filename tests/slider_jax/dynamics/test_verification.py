@@ -32,7 +32,15 @@ def nrmse(found, given):
 
 
 @pytest.mark.parametrize(
-    "name", ["inertial_4p8Hz", "towed_4p8Hz", "mixed_2p2Hz", "drag_1Hz", "large_1Hz"]
+    "name",
+    [
+        "inertial_4p8Hz",
+        "towed_4p8Hz",
+        *(
+            pytest.param(x, marks=pytest.mark.slow)
+            for x in ("mixed_2p2Hz", "drag_1Hz", "large_1Hz")
+        ),
+    ],
 )
 def test_agrees_with_the_independent_program(name, data):
     folder = data / "verification" / name

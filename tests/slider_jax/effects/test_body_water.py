@@ -4,6 +4,7 @@ import dataclasses
 import math
 from types import SimpleNamespace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -82,11 +83,20 @@ def settled(effects, tail_load=None, dt=1e9, **robot):
 
 def end_load(T=0.0, N=0.0, M=0.0):
     """Loads at the tail's end, in axes that rotate with the tail."""
-    return lambda phi: jnp.stack([T + 0.0 * phi, N + 0.0 * phi, M + 0.0 * phi])
+    return jax.tree_util.Partial(_same_at_any_angle, jnp.asarray([T, N, M], float))
+
+
+def _same_at_any_angle(load, phi):
+    return load + 0.0 * phi
 
 
 def rigid(numerics=FINE, phi=0.0, omega=0.0, omega_t=0.0, V=(0.0, 0.0), A=(0.0, 0.0), water_A=None):
     """Section of the straight rod that moves rigidly; V, A: of its head, in the plane."""
+    return _rigid(numerics, *arrays((phi, omega, omega_t, V, A)), arrays(water_A))
+
+
+@eqx.filter_jit
+def _rigid(numerics, phi, omega, omega_t, V, A, water_A):
     model = uniform(L)
     s = nodes_of(model, numerics)
     r, zero = s - L, jnp.zeros_like(s)
@@ -103,6 +113,11 @@ def rigid(numerics=FINE, phi=0.0, omega=0.0, omega_t=0.0, V=(0.0, 0.0), A=(0.0, 
 
 def resultant(effect, x):
     """Force (tau, n) [N] and moment about the head [N m]."""
+    return _resultant(arrays(effect), x)
+
+
+@eqx.filter_jit
+def _resultant(effect, x):
     F_tau, F_n = effect.force(x)
     return jnp.sum(F_tau * x.ds), jnp.sum(F_n * x.ds), jnp.sum(F_n * (x.s - L) * x.ds)
 

@@ -30,7 +30,8 @@ ENTRIES = [(name, parameter) for name, mine in PARAMETERS.items() for parameter 
 """Parameters and shape parameters of all effects. The `null` of a shape is its default."""
 PRIORS = [PARAMETERS[name][parameter] for name, parameter in ENTRIES]
 NULL = np.array([prior.null for prior in PRIORS])
-TIMES = TimeGrid.per_stride(4.0, 60, 1)
+TIMES = TimeGrid(1.0 / 240.0, 30)
+"""Half a stride: each chamber has an edge of the drive."""
 
 
 def readings(effects):

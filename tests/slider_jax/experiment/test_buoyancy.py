@@ -4,9 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax.dynamics.statics import Loads, at_rest_under
+from slider_jax.dynamics.statics import Loads
 from slider_jax.experiment.load import load, to_model, to_numerics
 from tests.support.experiments import refusal_of, write_small_experiment
+from tests.support.helpers import static_state
 
 M, L, EI, G, WATER = 0.7, 0.37, 3.8, 9.81, 1000.0
 VERTICAL = '[[effects]]\nname = "gravity"\ng = 9.81\nup = 1.5707963267948966\n\n'
@@ -42,7 +43,7 @@ def segmented(folder, segments):
 def at_rest(path):
     each = load(path)
     loads = Loads(jnp.zeros(2), jnp.zeros(2))
-    return at_rest_under(to_model(each), loads, to_numerics(each)[0])
+    return static_state(to_model(each), loads, to_numerics(each)[0])
 
 
 @pytest.mark.slow

@@ -76,7 +76,9 @@ FRICTIONS = {
 }
 
 
-@pytest.mark.parametrize("friction", FRICTIONS)
+@pytest.mark.parametrize(
+    "friction", [pytest.param(x, marks=pytest.mark.slow) if "tang" in x else x for x in FRICTIONS]
+)
 def test_a_straight_robot_coasts_against_friction(tmp_path, friction):
     """The increments of Newton's method are rounding errors, and the steps converge.
 

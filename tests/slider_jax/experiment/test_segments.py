@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from slider_jax.beam.parameters import Numerics
-from slider_jax.dynamics.statics import Loads, at_rest_under
+from slider_jax.dynamics.statics import Loads
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
 from slider_jax.experiment.robot import RIGID, RIGID_FACTOR
 from slider_jax.simulation.trial import simulate_trial
 from slider_jax.sweep.sweep import Axis, Sweep
 from tests.support.experiments import SMALL, write_small_experiment
+from tests.support.helpers import static_state
 
 KEYS = SMALL[SMALL.index("body_length") : SMALL.index("front_chamber")]
 COMMON = "linear_density = 0.7\ndamping_time = 0.002\nheight = 0.03\n"
@@ -37,7 +38,9 @@ def thrust_of(path):
     return np.asarray(simulate_trial(load(path)).series["thrust"])
 
 
-@pytest.mark.parametrize("count", [1, 2, 5, 20])
+@pytest.mark.parametrize(
+    "count", [1, 2, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 20))]
+)
 def test_a_body_in_equal_segments_is_the_uniform_body(tmp_path, count):
     uniform = thrust_of(write_small_experiment(tmp_path))
     cut = with_segments(tmp_path, count * segment(0.3 / count, 0.038) + TAIL)
@@ -84,7 +87,7 @@ def test_a_robot_bends_behind_its_rigid_segment_as_if_it_were_clamped_there(tmp_
     force = 0.002
     loads = Loads(jnp.array([0.0, force]), jnp.zeros(2))
     mesh = Numerics(tail_cells=30, body_cells=120)
-    found = at_rest_under(to_model(load(path)), loads, mesh)
+    found = static_state(to_model(load(path)), loads, mesh)
     assert bool(found.ok)
     assert float(found.shape[1, 0]) == pytest.approx(force * 0.27**3 / (3.0 * 0.038), rel=1e-3)
 

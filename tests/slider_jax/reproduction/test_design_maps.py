@@ -157,6 +157,7 @@ def test_a_statement_without_speeds_is_not_decided():
     assert [x.agrees for x in slice_of_phase(at_60)] == [None, None, True]
 
 
+@pytest.mark.draws
 def test_maps_with_gaps_are_drawn(tmp_path):
     holes = without(without(PAPERS, 0, 3), 2, 4)
     plot_design_maps(over_stiffness(0.003), holes, "made up", tmp_path / "map.png")

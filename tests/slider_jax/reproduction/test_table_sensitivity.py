@@ -10,7 +10,7 @@ import pytest
 
 from slider_jax import paper
 from slider_jax.beam.parameters import Numerics, uniform_robot
-from slider_jax.dynamics.statics import Loads, at_rest_under
+from slider_jax.dynamics.statics import Loads
 from slider_jax.experiment.load import Experiment
 from slider_jax.reproduction.table_sensitivity import (
     AS_STATED,
@@ -33,6 +33,7 @@ from slider_jax.swimming.paper_optimum import PUBLISHED, optimum
 from slider_jax.swimming.performance import Stride
 from slider_jax.swimming.steady_state import SteadySettings
 from tests.support.data import ROOT
+from tests.support.helpers import static_state
 
 F, STEPS, A, LAMBDA = 4.0, 60, 0.004, 0.2
 S = np.linspace(0.0, 0.4, 161)  # two waves
@@ -106,7 +107,7 @@ def test_the_k_q_of_the_tip_gives_the_papers_tip_displacement():
     @jax.jit
     def tip(K_Q):
         model = paper.head_fixed(4.8, uniform_robot(K_Q=K_Q))
-        found = at_rest_under(model, Loads(jnp.zeros(2), jnp.array([45e3, 45e3])))
+        found = static_state(model, Loads(jnp.zeros(2), jnp.array([45e3, 45e3])))
         return found.shape[1, 0], found.ok
 
     for K_Q, known in ((K_Q_OF_THE_TIP, 0.102), (uniform_robot().K_Q, 0.031)):

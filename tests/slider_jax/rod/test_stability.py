@@ -1,5 +1,6 @@
 """Buckling loads of rods in space, from the stiffness matrix; 1 % of the theory's threshold."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,25 +32,30 @@ def loads_of(force=(0.0, 0.0, 0.0), moment=(0.0, 0.0, 0.0), follower=False):
     )
 
 
+@jax.jit
+def _tip(rod, strains):
+    shape = rod_shape(rod, strains)
+    return shape.position[-1], shape.frame[-1]
+
+
+_tip_slope, _stiffness = jax.jit(jax.jacfwd(_tip, argnums=1)), eqx.filter_jit(stiffness_matrix)
+
+
 def held_eigenvalue(rod, loads, strains, held):
     """Smallest eigenvalue of the stiffness if the motions `held` of the tip are zero.
 
     `held` are the numbers of the tip's motions: displacements x, y, z and turns about x, y, z.
     """
 
-    def tip(q):
-        shape = rod_shape(rod, q)
-        return shape.position[-1], shape.frame[-1]
-
-    moved, turned = jax.jit(jax.jacfwd(tip))(strains)
-    frame = tip(strains)[1]
+    moved, turned = _tip_slope(rod, strains)
+    frame = _tip(rod, strains)[1]
     spin = jnp.einsum("ijkl,mj->imkl", turned, frame)
     angle = jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
     motion = np.concatenate([moved, angle]).reshape(6, -1)[list(held)]
     free = null_space(motion)
     # `stiffness_matrix` is divided by the stiffness and ds of each strain.
     weights = np.asarray(rod.elasticity * rod.ds[:, None]).ravel()
-    matrix = weights[:, None] * np.asarray(jax.jit(stiffness_matrix)(strains, rod, loads))
+    matrix = weights[:, None] * np.asarray(_stiffness(strains, rod, loads))
     reduced = free.T @ matrix @ free
     scale = np.linalg.inv(np.linalg.cholesky(free.T @ (weights[:, None] * free)))
     return np.linalg.eigvalsh(scale @ (0.5 * (reduced + reduced.T)) @ scale.T).min()

@@ -157,6 +157,7 @@ def test_the_typical_size_is_the_far_end_of_the_range():
     assert typical_size(prior._replace(null=prior.high)) == prior.low
 
 
+@pytest.mark.draws
 def test_the_command_draws_the_picture_and_says_how_large_the_change_is(gain, capsys, tmp_path):
     out = tmp_path / "out"
     text = said(

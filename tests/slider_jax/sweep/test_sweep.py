@@ -103,18 +103,24 @@ def test_interrupted_sweep_goes_on_and_ends_as_an_uninterrupted_one(
     for name in whole:
         np.testing.assert_array_equal(whole[name], resumed[name])
 
-    # A member of the batch is what a run of its own gives.
-    changed = task.experiment.with_values({"trials.0.frequency": whole["trials.0.frequency_Hz"][3]})
-    model, h = to_model(changed), 1.0 / (changed.trials[0].frequency * 40)
-    _, single = march(model, h, 120, thrust, to_numerics(changed)[0])
-    expected = np.asarray(stride_means(single, 40))[1:].mean()
-    np.testing.assert_allclose(whole["thrust_mean_N"][3], expected, rtol=0, atol=1e-10)
-
     with pytest.raises(InputError, match=r"other settings \(strides\)"):
         run_sweep(task._replace(strides=4), tmp_path / "a")
     monkeypatch.setitem(LOADED_FILES, tmp_path / "wall.py", "digest")
     with pytest.raises(InputError, match=r"other settings \(effect_files\)"):
         run_sweep(task, tmp_path / "a")
+
+
+@pytest.mark.slow
+def test_a_member_of_the_batch_is_what_a_run_of_its_own_gives(
+    experiment, tmp_path, one_core_chunks_of_two
+):
+    task = tiny(experiment)
+    whole = run_sweep(task, _made(tmp_path / "whole"))
+    changed = task.experiment.with_values({"trials.0.frequency": whole["trials.0.frequency_Hz"][3]})
+    model, h = to_model(changed), 1.0 / (changed.trials[0].frequency * 40)
+    _, single = march(model, h, 120, thrust, to_numerics(changed)[0])
+    expected = np.asarray(stride_means(single, 40))[1:].mean()
+    np.testing.assert_allclose(whole["thrust_mean_N"][3], expected, rtol=0, atol=1e-10)
 
 
 @pytest.mark.slow
