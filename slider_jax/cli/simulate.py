@@ -66,7 +66,7 @@ def simulate(
         raise InputError(
             "--drive measured: allowed only for a log; in an experiment, set each trial's drive_is"
         )
-    experiment = load(input, model)
+    experiment = load(input, model, spatial=True)
     settings = {"numerics.step": step, "numerics.nodes": nodes, "numerics.scheme": scheme}
     given = {key: value for key, value in settings.items() if value is not None}
     if given:

@@ -93,15 +93,24 @@ def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experimen
     return experiment
 
 
-def load(path: Path | str, model: Path | str | None = None) -> Experiment:
+def load(
+    path: Path | str, model: Path | str | None = None, *, spatial: bool = False
+) -> Experiment:
     """Returns the validated experiment of the file `path`, changed by the file `model` if given.
 
     Keys of `[robot]` and `[parameters]` in the model file replace keys of the experiment. The
     `[[effects]]` of both files are combined. C_d or m_a in the model file replaces a ramp or table
-    of the experiment; a ramp or table replaces C_d and m_a. `InputError` names file and key.
+    of the experiment; a ramp or table replaces C_d and m_a. `InputError` names file and key. An
+    experiment in three dimensions is an error, unless `spatial` is true.
     """
     path = Path(path)
-    return assemble(read_toml(path), str(path), path.parent, model)
+    experiment = assemble(read_toml(path), str(path), path.parent, model)
+    if experiment.dimension == 3 and not spatial:
+        raise InputError(
+            f"{path}: dimension: given 3; allowed 2, because this command computes in the plane; "
+            "`slider simulate` computes in three dimensions"
+        )
+    return experiment
 
 
 def assemble(
