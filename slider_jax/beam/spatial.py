@@ -102,16 +102,16 @@ def _series(x: Array, ratios: tuple[float, ...]) -> Array:
 
 def _factorials(first: int) -> tuple[float, ...]:
     """Returns the ratios of the terms (-x)^k first!/(2 k + first)!."""
-    return tuple(-1.0 / ((first + 2 * k - 1) * (first + 2 * k)) for k in range(1, 14))
+    return tuple(-1.0 / ((first + 2 * k - 1) * (first + 2 * k)) for k in range(1, 11))
 
 
 _COSINE, _SINE, _SECOND, _THIRD = (_factorials(first) for first in range(4))
 """cos(a), sin(a)/a, 2 (1 - cos a)/a^2 and 6 (a - sin a)/a^3 as series in a^2.
 
-For angles up to pi, the error is a rounding error. A series has no singular point at zero, where
+For angles up to 2 rad, the error is a rounding error. A series has no singular point at zero, where
 the closed forms divide by zero, and costs less than a sine.
 """
-_ARCSINE = tuple((2 * k - 1) ** 2 / (2 * k * (2 * k + 1)) for k in range(1, 14))
+_ARCSINE = tuple((2 * k - 1) ** 2 / (2 * k * (2 * k + 1)) for k in range(1, 12))
 """asin(s)/s as a series in s^2."""
 
 
@@ -120,7 +120,7 @@ def _square(v: Vec) -> Array:
 
 
 def turned(v: Vec) -> Quaternion:
-    """Returns the quaternion of the rotation vector `v` [rad], for angles up to 2 pi."""
+    """Returns the quaternion of the rotation vector `v` [rad], for angles up to pi."""
     x = 0.25 * _square(v)
     return Quaternion(_series(x, _COSINE), *v.times(0.5 * _series(x, _SINE)))
 
@@ -138,7 +138,8 @@ def rotation_vector(q: Quaternion) -> Vec:
 def turning_of(v: Vec, rate: Vec) -> Vec:
     """Returns the rate of turning omega, in the turned frame, of a rotation vector `v` [rad].
 
-    omega = rate - (1 - cos a)/a^2 v x rate + (a - sin a)/a^3 v x (v x rate), with a = |v| <= pi.
+    omega = rate - (1 - cos a)/a^2 v x rate + (a - sin a)/a^3 v x (v x rate), with a = |v|. The
+    angle a may be up to 2 rad.
     """
     x = _square(v)
     across = v.cross(rate)

@@ -93,9 +93,7 @@ def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experimen
     return experiment
 
 
-def load(
-    path: Path | str, model: Path | str | None = None, *, spatial: bool = False
-) -> Experiment:
+def load(path: Path | str, model: Path | str | None = None, *, spatial: bool = False) -> Experiment:
     """Returns the validated experiment of the file `path`, changed by the file `model` if given.
 
     Keys of `[robot]` and `[parameters]` in the model file replace keys of the experiment. The

@@ -71,11 +71,10 @@ def frame_and_omega(theta: Vec, stage: SpatialStage, where=slice(None)) -> tuple
     return at(stage.frame, where).after(turned(theta)), turning_of(theta, rate)
 
 
-def turning_in_cells(left: Vec, right: Vec, stage: SpatialStage) -> Turning:
-    """Returns the rotations in the cells from theta at their left and right nodes."""
-    (p, before), (q, after) = (
-        frame_and_omega(theta, stage, where) for theta, where in ((left, LEFT), (right, RIGHT))
-    )
+def turning_in_cells(theta: Vec, stage: SpatialStage) -> Turning:
+    """Returns the rotations in the cells from theta at the nodes."""
+    frame, omega = frame_and_omega(theta, stage)
+    (p, before), (q, after) = (at((frame, omega), where) for where in (LEFT, RIGHT))
     turn = rotation_vector(p.inverse().after(q))
     return Turning(
         before.plus(after).times(0.5),
@@ -110,7 +109,7 @@ def _section(mid, slope, turning, stage: SpatialStage) -> SpatialSection:
 def sections(y: Float[Array, "12 nodes"], stage: SpatialStage) -> SpatialSection:
     """Returns the local state of the body in each cell."""
     theta = vectors(y)[3]
-    turning = turning_in_cells(at(theta, LEFT), at(theta, RIGHT), stage)
+    turning = turning_in_cells(theta, stage)
     return _section(*means_and_slopes(y, stage.structure.ds), turning, stage)
 
 
@@ -125,7 +124,7 @@ def head_conditions(head: Float[Array, "12"], stage: SpatialStage) -> Float[Arra
 def spatial_residual(y: Float[Array, "12 nodes"], stage: SpatialStage):
     """Returns the residuals ((12, cells), (6,), (6,)) of cells, tail and head."""
     theta = vectors(y)[3]
-    turning = turning_in_cells(at(theta, LEFT), at(theta, RIGHT), stage)
+    turning = turning_in_cells(theta, stage)
     cells = spatial_cell_rows(*means_and_slopes(y, stage.structure.ds), turning, stage)
     return jnp.stack(cells), y[:6, 0], head_conditions(y[:, -1], stage)
 
@@ -201,7 +200,7 @@ def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOp
     ds = stage.structure.ds
     mid, slope = means_and_slopes(y, ds)
     theta = vectors(y)[3]
-    turning = turning_in_cells(at(theta, LEFT), at(theta, RIGHT), stage)
+    turning = turning_in_cells(theta, stage)
     middle = turning.frame
 
     def rows(values):

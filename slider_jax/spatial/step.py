@@ -256,7 +256,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
         _, _, V, theta = vectors(y)
         frame, omega = frame_and_omega(theta, stage)
         frame = unit(frame)
-        turning = turning_in_cells(at(theta, LEFT), at(theta, RIGHT), stage)
+        turning = turning_in_cells(theta, stage)
         arm = support.anchor_in_space(t)
         head_frame, head_omega = at(frame, -1), at(omega, -1)
         anchor_speed = head_frame.to_space(at(V, -1).plus(head_omega.cross(arm)))
