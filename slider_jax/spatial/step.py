@@ -386,6 +386,7 @@ def spatial_rollout(
     The water is uniform. Raises `ValueError` for a model without `space`, or for a model that
     contains something of the plane only.
     """
+    settings_in_space(model)
     mesh = spatial_mesh(model.body, numerics)
     if begin is None:
         begin = at_rest_in_space(model, numerics, times.t0)
