@@ -104,6 +104,7 @@ def test_heavy_tailed_noise_does_not_change_the_verdict(tmp_path, declared):
     assert np.all(found.final.errors < 1.02 * plain.final.errors)
 
 
+@pytest.mark.slow
 def test_a_hum_is_reported_with_its_frequency_and_amplitude(tmp_path):
     found = outcome(tmp_path, hum=0.02)
     assert found.verdict == "unexplained" and found.excess["thrust"].all < 1.5

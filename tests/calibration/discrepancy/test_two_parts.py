@@ -70,6 +70,7 @@ def statuses(record):
     return {x["name"]: x["status"] for x in record["effects"]}
 
 
+@pytest.mark.slow
 def test_two_effects_of_which_one_is_beyond_its_prior_are_both_in_the_model():
     outcome = conclusion((0.9, 0.25, 0.0, 0.0))
     record, page, model = report(outcome)

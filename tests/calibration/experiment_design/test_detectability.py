@@ -152,6 +152,7 @@ def test_a_nameable_effect_changes_a_channel_by_its_discrepancy(still, entries):
     assert max(shares) == pytest.approx(1.0, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_gains_of_sensor_and_regulator_form_a_class(still):
     """K_Q compensates for a larger pressure, because the lag is linear."""
     i, j = still.names.index("pressure_gain"), still.names.index("regulator_gain")

@@ -170,6 +170,7 @@ def analysis():
     return analyse_midlines(traced()[0], SHAPE, samples=40)
 
 
+@pytest.mark.slow
 def test_the_closing_coefficient_closes_the_balance(analysis):
     """In every sample, the imbalance is zero with an effect at its closing coefficient."""
     d = analysis.samples

@@ -23,6 +23,7 @@ def trial():
     return p, base_vector(model_parameters(NAMES), base_values(given))
 
 
+@pytest.mark.slow
 def test_tangents_agree_with_differences_of_readings(trial):
     p, theta = trial
     entries = model_parameters(NAMES)

@@ -93,6 +93,7 @@ def test_a_known_lag_is_recovered_within_its_interval(k):
     assert 0.8 < found.widening < 1.3  # white noise: all samples are independent
 
 
+@pytest.mark.slow
 def test_the_interval_covers_the_truth_under_correlated_noise_and_the_naive_one_does_not():
     """Noise correlated over 50 ms, 100 logs: at least 88 of the 95 % intervals hold the truth."""
     k, memory, logs = 0.1, 0.05, []

@@ -44,6 +44,7 @@ def test_tendons_run_in_the_wall_to_their_end():
         np.testing.assert_allclose(tendon.length(rod, rod.unloaded), ahead, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_arm_bends_as_the_readme_of_the_data_says():
     """Tendon 1 pulls the tip to +x and +y, and tendon 2 mirrors it at the plane y = 0."""
     one, two = (arm_under(STATED, jnp.array(u)) for u in ((3.0, 0.0), (0.0, 3.0)))

@@ -72,6 +72,7 @@ def test_curvature_follows_in_the_span_and_the_rest_of_the_body_is_elastic():
     assert off[:, ~inside].max() > 0.2 * np.abs(wanted).max()
 
 
+@pytest.mark.slow
 def test_curvature_does_not_drift():
     """After 20 periods, the error at the end of a period is below 1e-6 of the amplitude."""
     model = with_actuators(towed(), wave())

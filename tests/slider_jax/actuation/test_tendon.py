@@ -76,6 +76,7 @@ def test_tendon_acts_in_its_span_only(span):
     assert np.abs(kappa[outside]).max() < 1e-9 * np.abs(kappa).max()
 
 
+@pytest.mark.slow
 def test_offset_that_changes_along_the_tendon():
     """0.1 % of the tip: phi = -int P e(d)/EI dd with e linear, against a fine quadrature."""
     P, near, far, ends = 8.0, 0.04, 0.3, (0.012, -0.004)
@@ -123,6 +124,7 @@ def test_negative_tension_counts_as_zero():
     assert np.abs(kappa).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_measured_moment_is_bilinear_in_command_and_curvature():
     """M_act = a c - b kappa gives the static curvature a c/(EI + b), to 0.1 %."""
     a, b, command = 0.02, 0.01, 3.3

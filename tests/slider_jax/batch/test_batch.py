@@ -44,6 +44,7 @@ def healthy():
     return np.asarray(loss), np.asarray(saved)
 
 
+@pytest.mark.slow
 def test_vmap_equals_a_loop_over_robots(healthy):
     loss, saved = healthy
     worst = 0.0

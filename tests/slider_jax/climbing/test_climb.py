@@ -60,6 +60,7 @@ def test_it_climbs_on_pins_that_hold(up):
     assert found.rises.mean() * GAIT.frequency == pytest.approx(float(found.speed), rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_work_goes_into_height_and_losses(up):
     found, series, _ = up
     h = 1.0 / (GAIT.frequency * PLAN.steps_per_stride)

@@ -102,6 +102,7 @@ def changing_at_null(names):
     return changing_at_null(names[:half]) + changing_at_null(names[half:]) if half else names
 
 
+@pytest.mark.slow
 def test_effects_at_their_nulls_change_no_reading():
     if differs(value_and_tangent(0)[0]).any():
         pytest.fail(f"changes a reading at the null: {changing_at_null(list(LIBRARY))}")

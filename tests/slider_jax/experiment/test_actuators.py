@@ -51,6 +51,7 @@ def evenly(count):
     return "".join(chamber(f"c{i}", ends[i], ends[i + 1]) for i in range(count))
 
 
+@pytest.mark.slow
 def test_two_actuators_are_the_front_and_the_rear_chamber(tmp_path):
     old = series_of(write_small_experiment(tmp_path))
     new = series_of(with_actuators(tmp_path, FRONT + REAR))
@@ -119,6 +120,7 @@ def test_ratios_of_1_do_not_change_the_program(tmp_path):
     assert jax.tree.structure(plain) == jax.tree.structure(null)
 
 
+@pytest.mark.slow
 def test_a_left_and_a_right_chamber_are_a_pair(tmp_path):
     """Both take their half of the same wave, so their signed pressures add up to the pair's.
 
@@ -135,6 +137,7 @@ def test_a_left_and_a_right_chamber_are_a_pair(tmp_path):
     np.testing.assert_allclose(apart["tip"], pair["tip"], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_co_contraction_stiffens_the_body_without_bending_it(tmp_path):
     """Two chambers of c |p| each, over the body: EI' = EI + c (p_left + p_right).
 

@@ -57,6 +57,7 @@ def test_a_submerged_beam_sags_by_its_net_weight(tmp_path):
         np.testing.assert_allclose(found.shape[1, 0], -sag, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_neutrally_buoyant_robot_does_not_sag(tmp_path):
     found = at_rest(experiment(tmp_path, ("height = 0.03", "height = 0.03\ndensity = 1000.0")))
     np.testing.assert_allclose(found.shape[1], 0.0, atol=1e-15)

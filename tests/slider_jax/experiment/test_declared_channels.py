@@ -46,6 +46,7 @@ def test_markers_read_the_midline(tmp_path):
     assert "y_joint_m" in run.columns and len(run.columns["y_joint_m"]) == len(run.columns["t_s"])
 
 
+@pytest.mark.slow
 def test_a_marker_between_nodes_is_on_the_smooth_midline(tmp_path):
     """A spline through the nodes is the reference. A chord would be wrong by about 0.06 mm."""
     marker = channel("marker", ["x_m", "y_m"], name="m", s=0.22)

@@ -95,6 +95,7 @@ def test_a_straight_robot_coasts_against_friction(tmp_path, friction):
     np.testing.assert_array_equal(series["head_y"], 0.0)
 
 
+@pytest.mark.slow
 def test_the_momentum_of_a_free_robot_in_air_stays(tmp_path):
     """Without water, the chambers cannot move the centre of mass: dp/dt = 0 in both directions."""
     air = ("C_d = 3.0\nm_a = 1.0", "C_d = 0.0\nm_a = 0.0")

@@ -59,6 +59,7 @@ def lagged(at, t, sets, k=K):
     return found
 
 
+@pytest.mark.slow
 def test_one_that_was_played_as_meant_changes_nothing(tmp_path):
     experiment = load(write_small_experiment(tmp_path)).with_values({"numerics.step": 2e-3})
     before = simulate_trial(experiment, 0).columns

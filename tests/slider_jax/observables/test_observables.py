@@ -191,6 +191,7 @@ def still() -> tuple[np.ndarray, dict]:
     return record(Clamped())
 
 
+@pytest.mark.slow
 def test_power_balances_at_every_instant_under_a_moving_clamp_and_gravity(moving):
     rates = moving[1]["rates"]
     left = rates.put_in - rates.stored.total - rates.dissipated - rates.to_effects

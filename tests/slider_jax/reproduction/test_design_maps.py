@@ -200,6 +200,7 @@ def made_up_table(batch, _):
     return {"speed_m_per_s": 0.3 - bend * (np.asarray(model.drive.waves[1].phase) - 0.15) ** 2}
 
 
+@pytest.mark.slow
 def test_an_interrupted_script_resumes_and_writes_all_files(swimmer, tmp_path, capsys, monkeypatch):
     out, calls, stopping = tmp_path / "out", [], [True]
     command = [str(out), "--points", "4", "--swimmer", str(swimmer)]

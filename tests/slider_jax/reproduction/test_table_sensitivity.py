@@ -54,6 +54,7 @@ def made(standing=0.0, turned=0.0):
     return Stride(T, midline, velocity, none, none, velocity[0], ahead, np.array(True))
 
 
+@pytest.mark.slow
 def test_every_definition_gives_the_length_of_a_travelling_wave():
     found = wavelengths(made(turned=0.7), S, F)
     for name, wavelength in found.items():

@@ -66,6 +66,7 @@ def changes_sign(eigenvalue_at, threshold):
     return eigenvalue_at(0.99 * threshold) > 0.0 > eigenvalue_at(1.01 * threshold)
 
 
+@pytest.mark.slow
 def test_a_strip_under_an_end_load_buckles_sideways():
     EI, GJ, L = 1e-3, 5e-4, 0.5
     rod = rod_of(L, GJ, EI, 1e4 * EI)
@@ -101,6 +102,7 @@ def test_a_twisted_straight_rod_between_clamps_buckles_at_greenhills_moment():
     assert changes_sign(at, 8.98682 * EI / L)
 
 
+@pytest.mark.slow
 def test_a_twisted_ring_buckles_at_michells_angle():
     EI, GJ, R = 0.03, 0.02, 0.1
     L = 2.0 * np.pi * R

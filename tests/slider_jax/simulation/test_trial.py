@@ -161,6 +161,7 @@ def test_a_measured_record_is_sampled_at_its_own_times(tmp_path):
     assert even.columns["t_s"][1] == 0.002
 
 
+@pytest.mark.slow
 def test_same_result_whatever_the_number_of_chunks(tmp_path):
     """The state and the pressures carried from chunk to chunk are all there is to carry."""
     experiment = load(write_small_experiment(tmp_path))

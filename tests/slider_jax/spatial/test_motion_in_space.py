@@ -103,6 +103,7 @@ def first_bending_mode(s, row):
     return jnp.asarray(1e-3 * V), jnp.asarray(1e-3 * omega)
 
 
+@pytest.mark.slow
 def test_torsional_and_bending_frequencies():
     """First frequencies of a cantilever in torsion and in both planes of bending, to 0.5 %."""
     model = spatial(uniform(L=L, EI=EI_B, EA_body=1e7, EA_tail=1e7))
@@ -130,6 +131,7 @@ def test_torsional_and_bending_frequencies():
         assert 1.0 / (zero[1] - zero[0]) == pytest.approx(frequency, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_spin_and_slip_decay_as_the_drag_demands():
     """omega0/(1 + omega0 K t/J) and u0/(1 + u0 rho C_d H t/(2 (m + m_A))), to 1e-4."""
     effects = (ReactiveForce(1.0), NormalDrag(2.0))

@@ -145,6 +145,7 @@ class TestActuators:
                 tip(found), ahead * np.array([1.0, 0.0, 0.0]) + aside * away, atol=1e-3 * aside
             )
 
+    @pytest.mark.slow
     def test_chambers_against_each_other_only_stretch(self, case):
         x = case(text_of(rod="EA = 1000.0", more=chambers(0.0, np.pi)))
         found = solve_equilibrium(x.rod, x.loads)
@@ -178,6 +179,7 @@ class TestActuators:
         np.testing.assert_allclose(found.strains[:, 3], eps, rtol=1e-3)
         assert tip(found)[2] > 0.0
 
+    @pytest.mark.slow
     def test_a_follower_force_keeps_its_angle_to_the_tip(self, case):
         """The moment at the clamp is that of the turned force; the force pushes along the tip."""
         x = case(text_of(load="force = [0.0, 0.4, 0.0]\nfollower = true"))

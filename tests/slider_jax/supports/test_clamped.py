@@ -28,6 +28,7 @@ def off(steps):
     return np.abs(path - carriage(t)).max(axis=0)
 
 
+@pytest.mark.slow
 def test_the_head_follows_the_carriage_to_second_order():
     steps = [160, 320, 640]
     x, y, angle = np.array([off(n) for n in steps]).T

@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from slider_jax.actuation import SineWave
 from slider_jax.beam.parameters import Numerics
@@ -44,6 +45,7 @@ def spinning(model):
     return straight_state(s, 0.3, 0.1 + 1.5 * s[-1], omega=3.0)
 
 
+@pytest.mark.slow
 def test_momentum_gained_is_the_impulse_of_the_water():
     """The impulse is a trapezoidal sum; the error is relative to the exchanged momentum."""
     model = free_swimmer()

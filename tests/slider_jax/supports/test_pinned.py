@@ -40,6 +40,7 @@ def climb(model, per_stride=PER_STRIDE):
     return march(model, 1.0 / (FREQUENCY * per_stride), PER_STRIDE * STRIDES, pin)
 
 
+@pytest.mark.slow
 def test_the_pin_neither_moves_nor_carries_moment():
     t, (anchor, slip, moment, head, tip, speed) = climb(climber())
     print(

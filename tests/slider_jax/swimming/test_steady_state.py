@@ -89,6 +89,7 @@ def test_a_bent_body_is_steady_on_a_circle():
     assert abs(float(long.acceleration)) < 2e-3
 
 
+@pytest.mark.slow
 def test_a_body_that_nothing_resists_finds_no_steady_speed():
     model = made(GAITS["optimum"], 0.0)
     found = search(model, jnp.asarray(GAITS["optimum"].frequency))
