@@ -4,13 +4,17 @@ import base64
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from slider_jax.dynamics.model import make_mesh
+from slider_jax.beam.parameters import Numerics
+from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.io.files import write_text
 from slider_jax.simulation.plots import last_strides, run_title
-from slider_jax.simulation.shape import shape_of
+from slider_jax.simulation.shape import Shape, shape_of
 from slider_jax.simulation.trial import TrialRun
 
 FRAMES, STRIDES, NODES = 301, 15, 101
@@ -40,20 +44,26 @@ def view_data(run: TrialRun) -> dict[str, Any]:
     """Returns the content of a view, in ms, mm and N/m; arrays are from `packed`."""
     shown = min(FRAMES, run.grid.steps + 1)
     steps = np.unique(last_strides(run, shown, STRIDES, closed=True))
-    shape = shape_of(run)
+    shape = Shape(*(values[steps] for values in shape_of(run)))
     nodes = shape.frame.shape[2]
     kept = np.linspace(0, nodes - 1, min(nodes, NODES)).round().astype(int)
-    prepared = run.prepared
-    height = np.asarray(make_mesh(prepared.model.body, prepared.numerics).structure.height)
-    axes = shape._replace(frame=shape.frame[steps][:, :, kept]).axes()
+    height = np.asarray(_height(run.prepared.model, run.prepared.numerics))
+    axes = shape._replace(frame=shape.frame[:, :, kept]).axes()
     return {
-        "times": np.round(1e3 * run.t[steps], 3).tolist(),
+        "times": np.round(1e3 * shape.t_s, 3).tolist(),
         "head": "head" if run.trial.support == "free" else "clamp",
-        "position": packed(1e3 * shape.position_m[steps][:, :, kept]),
+        "position": packed(1e3 * shape.position_m[:, :, kept]),
         "b": packed(axes[:, 2]),
-        "force": packed(_means(shape.force_N_per_m[steps], kept)),
-        "height": packed(1e3 * _means(np.broadcast_to(height, nodes - 1), kept)),
+        "force": packed(_means(shape.force_N_per_m, kept)),
+        "height": packed(1e3 * _means(height, kept)),
     }
+
+
+@eqx.filter_jit
+def _height(model: Model, numerics: Numerics) -> Array:
+    """Returns the heights [m] of the cells."""
+    height = make_mesh(model.body, numerics).structure.height
+    return jnp.broadcast_to(height, numerics.tail_cells + numerics.body_cells)
 
 
 def _means(cells: np.ndarray, kept: np.ndarray) -> np.ndarray:
