@@ -65,7 +65,7 @@ def simulate(
     from slider_jax.experiment.prepare import prepare
     from slider_jax.io.files import staged, write_csv, write_json
     from slider_jax.simulation.plots import plot_run
-    from slider_jax.simulation.shape import shape_of, write_shape
+    from slider_jax.simulation.shape import saved_shape, write_shape
     from slider_jax.simulation.summary import simulation_summary, trial_summary
     from slider_jax.simulation.trial import simulate_prepared
 
@@ -105,7 +105,7 @@ def simulate(
                 write_view(run, stage)
             if shape:
                 info = simulation_summary(experiment, [result], input, model)
-                write_shape(shape_of(run), info, stage / f"{Path(file).stem}_shape.npz")
+                write_shape(saved_shape(run), info, stage / f"{Path(file).stem}_shape.npz")
             for line in _lines(result, channels, time.perf_counter() - started):
                 print(f"{file}  {line}", file=sys.stderr)
         write_json(stage / "summary.json", simulation_summary(experiment, results, input, model))

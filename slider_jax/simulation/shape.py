@@ -29,7 +29,7 @@ INFO = "info"
 """Name of the array with inputs, settings and versions as JSON text."""
 
 
-class Shape(NamedTuple):
+class SavedShape(NamedTuple):
     """The arrays of a shape file; `DEFINITIONS` gives their meaning."""
 
     t_s: np.ndarray
@@ -53,11 +53,11 @@ class Shape(NamedTuple):
         return np.stack([np.stack(axis, axis=1) for axis in (tau, n, b)], axis=1)
 
 
-def shape_of(run: TrialRun) -> Shape:
+def saved_shape(run: TrialRun) -> SavedShape:
     """Returns the shape of a trial that was simulated with `shape=True`."""
     series = run.series
     still = np.zeros((len(run.t), 3))
-    return Shape(
+    return SavedShape(
         run.t,
         _in_space(series["midline"]),
         _in_space(series["head"]) if "head" in series else still,
@@ -73,14 +73,14 @@ def _in_space(vectors: np.ndarray) -> np.ndarray:
     return np.pad(vectors, [(0, 0), (0, lacking)] + [(0, 0)] * (vectors.ndim - 2))
 
 
-def write_shape(shape: Shape, info: dict[str, Any], path: Path) -> None:
+def write_shape(shape: SavedShape, info: dict[str, Any], path: Path) -> None:
     """Writes a shape file, with inputs, settings and versions in `info`."""
     text = json_text(info | {"definitions": DEFINITIONS})
     arrays: dict[str, Any] = shape._asdict() | {INFO: np.array(text)}
     np.savez_compressed(path, **arrays)
 
 
-def read_shape(path: Path) -> tuple[Shape, dict[str, Any]]:
+def read_shape(path: Path) -> tuple[SavedShape, dict[str, Any]]:
     """Returns the arrays and the inputs, settings and versions of a shape file.
 
     Raises `InputError` if the file is missing or is not a shape file.
@@ -88,7 +88,7 @@ def read_shape(path: Path) -> tuple[Shape, dict[str, Any]]:
     advice = "give a file that `slider simulate --shape` wrote"
     try:
         with np.load(path, allow_pickle=False) as content:
-            arrays = [content[name] for name in Shape._fields]
+            arrays = [content[name] for name in SavedShape._fields]
             info = json.loads(str(content[INFO]))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; {advice}") from None
@@ -97,17 +97,17 @@ def read_shape(path: Path) -> tuple[Shape, dict[str, Any]]:
         raise InputError(f"{path}: no array {name}; {advice}") from None
     except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
         raise InputError(f"{path}: not a readable shape file (.npz); {advice}") from None
-    shape = Shape(*arrays)
+    shape = SavedShape(*arrays)
     steps, nodes = len(np.atleast_1d(shape.t_s)), np.shape(shape.midline_m)[-1:]
     sizes = (), (3, *nodes), (3,), (4, *nodes), nodes, (3, *(x - 1 for x in nodes))
-    for name, values, size in zip(Shape._fields, shape, sizes, strict=True):
+    for name, values, size in zip(SavedShape._fields, shape, sizes, strict=True):
         if values.dtype.kind not in "iuf" or values.shape != (steps, *size):
             given = f"an array {values.shape} of type {values.dtype}"
             raise InputError.value(f"{path}, {name}", given, f"numbers {(steps, *size)}", advice)
     return shape, info
 
 
-def write_vtk(shape: Shape, stem: str, folder: Path, every: int = 1) -> int:
+def write_vtk(shape: SavedShape, stem: str, folder: Path, every: int = 1) -> int:
     """Writes every `every`-th step as VTK file `<stem>_NNNNNN.vtp`, and the index `<stem>.pvd`.
 
     Each file contains the positions of the nodes in the tank, the moment and the vectors tau, n and

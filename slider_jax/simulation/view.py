@@ -14,7 +14,7 @@ from slider_jax.beam.parameters import Numerics
 from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.io.files import write_text
 from slider_jax.simulation.plots import last_strides, run_title
-from slider_jax.simulation.shape import Shape, shape_of
+from slider_jax.simulation.shape import SavedShape, saved_shape
 from slider_jax.simulation.trial import TrialRun
 
 FRAMES, STRIDES, NODES = 301, 15, 101
@@ -44,7 +44,7 @@ def view_data(run: TrialRun) -> dict[str, Any]:
     """Returns the content of a view, in ms, mm and N/m; arrays are from `packed`."""
     shown = min(FRAMES, run.grid.steps + 1)
     steps = np.unique(last_strides(run, shown, STRIDES, closed=True))
-    shape = Shape(*(values[steps] for values in shape_of(run)))
+    shape = SavedShape(*(values[steps] for values in saved_shape(run)))
     nodes = shape.frame.shape[2]
     kept = np.linspace(0, nodes - 1, min(nodes, NODES)).round().astype(int)
     height = np.asarray(_height(run.prepared.model, run.prepared.numerics))

@@ -14,7 +14,7 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from slider_jax.experiment.prepare import prepare
 from slider_jax.simulation import plots
-from slider_jax.simulation.shape import Shape, read_shape, shape_of, write_shape, write_vtk
+from slider_jax.simulation.shape import SavedShape, read_shape, saved_shape, write_shape, write_vtk
 from slider_jax.simulation.trial import TrialRun, simulate_trial
 from slider_jax.simulation.view import view_data, write_view
 from tests.support.experiments import write_small_experiment
@@ -72,30 +72,30 @@ def unpacked(x):
 def test_axes_of_the_sections_are_the_columns_of_their_rotations(arc):
     run, rotations = arc
     expected = np.moveaxis(rotations, (1, 2, 3), (3, 2, 1))  # (steps, axis, 3, nodes)
-    np.testing.assert_allclose(shape_of(run).axes(), expected, atol=1e-14)
+    np.testing.assert_allclose(saved_shape(run).axes(), expected, atol=1e-14)
 
 
 def test_a_shape_file_returns_what_was_written(arc, tmp_path):
-    shape, path = shape_of(arc[0]), tmp_path / "x_shape.npz"
+    shape, path = saved_shape(arc[0]), tmp_path / "x_shape.npz"
     write_shape(shape, {"name": "arc", "speed": np.inf}, path)
     back, info = read_shape(path)
     for name, values in shape._asdict().items():
         np.testing.assert_array_equal(getattr(back, name), values, err_msg=name)
     assert info["name"] == "arc" and info["speed"] is None
-    assert set(info["definitions"]) == set(Shape._fields)
+    assert set(info["definitions"]) == set(SavedShape._fields)
 
 
 def test_a_planar_shape_has_three_components(tmp_path):
-    shape = shape_of(rolled_arc(tmp_path, dimension=2)[0])
+    shape = saved_shape(rolled_arc(tmp_path, dimension=2)[0])
     for vectors in (shape.midline_m, shape.head_m, shape.force_N_per_m):
         assert vectors.shape[1] == 3 and not vectors[:, 2].any()
     clamped = rolled_arc(tmp_path, dimension=2)[0]
     del clamped.series["head"]
-    assert not shape_of(clamped).head_m.any()
+    assert not saved_shape(clamped).head_m.any()
 
 
 def test_a_file_that_is_no_shape_is_refused(arc, tmp_path, capsys):
-    shape = shape_of(arc[0])
+    shape = saved_shape(arc[0])
     text, other, cut = (tmp_path / f"{name}.npz" for name in ("text", "other", "cut"))
     text.write_text("t_s,p_front_Pa")
     np.savez(other, t_s=shape.t_s)
@@ -118,7 +118,7 @@ def test_a_file_that_is_no_shape_is_refused(arc, tmp_path, capsys):
 
 def test_vtk_files_contain_the_shape(arc, tmp_path):
     """To the seven digits of the files."""
-    shape, source, out = shape_of(arc[0]), tmp_path / "arc_shape.npz", tmp_path / "out"
+    shape, source, out = saved_shape(arc[0]), tmp_path / "arc_shape.npz", tmp_path / "out"
     write_shape(shape, {}, source)
     assert main(["export", str(source), "--to", "vtk", "--every", "50", "--out", str(out)]) == 0
     index = ElementTree.parse(out / "arc_shape.pvd").findall("Collection/DataSet")
@@ -143,7 +143,7 @@ def test_vtk_files_contain_the_shape(arc, tmp_path):
 
 def test_a_view_contains_positions_frames_forces_and_heights(arc):
     run, rotations = arc
-    data, shape = view_data(run), shape_of(run)
+    data, shape = view_data(run), saved_shape(run)
     np.testing.assert_allclose(data["times"], 1e3 * run.t, atol=1e-3)
     for name, values in {
         "position": 1e3 * shape.position_m,
@@ -168,7 +168,7 @@ def test_a_view_is_small_and_needs_no_network(tmp_path):
     # 15 strides of 0.25 s
     assert data["times"][0] == pytest.approx(5250.0)
     ends = unpacked(data["position"])[:, :, [0, -1]]
-    expected = 1e3 * shape_of(run).position_m[:, :, [0, -1]][-1]
+    expected = 1e3 * saved_shape(run).position_m[:, :, [0, -1]][-1]
     np.testing.assert_allclose(ends[-1], expected, atol=1e-4 * np.abs(expected).max())
 
 
@@ -200,7 +200,7 @@ def test_frames_of_a_simulated_robot_in_space_belong_to_its_midline(tmp_path):
     """tau is the tangent: against the chord over two cells of a smooth shape to 2 %."""
     file = write_small_experiment(tmp_path, *IN_SPACE, ("nodes = 11", "nodes = 21"))
     run = simulate_trial(load(file), 0, shape=True)
-    shape = shape_of(run)
+    shape = saved_shape(run)
     tau, _, b = np.moveaxis(shape.axes(), 1, 0)
     chord = shape.midline_m[:, :, 2:] - shape.midline_m[:, :, :-2]
     chord /= np.linalg.norm(chord, axis=1, keepdims=True)
