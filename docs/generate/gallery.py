@@ -69,10 +69,17 @@ ENTRIES = {
         "slider_demo/thrust_against_frequency.png",
     ),
     "simulate": Entry(
-        "simulate docs/experiment.toml --out results/example --plot",
+        "simulate docs/experiment.toml --out results/example --plot --shape",
         "The picture shows pressures, thrust, recoil and tip position of the second trial, in "
         "which the robot is towed.",
         "results/example/towed.png",
+    ),
+    "export": Entry(
+        "export results/example/towed_shape.npz --every 20 --out results/example/vtk",
+        "The input is a file of `slider simulate --shape`. ParaView opens the written "
+        "`towed_shape.pvd`.",
+        more="[Simulating in three dimensions](how-to/three_dimensions.md#the-shape-as-data) "
+        "describes the files.",
     ),
     "statics": Entry(
         "statics examples/strip/rod.toml --out results/strip",

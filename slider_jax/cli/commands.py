@@ -27,6 +27,10 @@ COMMANDS = {
         "simulates the trials of an experiment, or the thrust from a pressure log",
         effects=True,
     ),
+    "export": Subcommand(
+        "slider_jax.cli.simulate:export_shape",
+        "converts the shape of a simulated robot to files for ParaView",
+    ),
     "demo": Subcommand(
         "slider_jax.cli.demo:demo", "simulates the paper's frequency sweep, without an input file"
     ),

@@ -109,8 +109,10 @@ def _run(arguments: Sequence[str]) -> int:
     except (InputError, SolverError, KeyboardInterrupt, rig_error()) as error:
         stopped = isinstance(error, KeyboardInterrupt)
         text = "interrupted" if stopped else f"error: {error}"
-        # The exception's notes describe errors that occurred while the command was stopping.
-        print("\n".join([f"slider: {text}", *getattr(error, "__notes__", ())]), file=sys.stderr)
+        # The exception's notes describe errors that occurred while the command was stopping. JAX
+        # adds a note on its traceback, which is not printed.
+        notes = [x for x in getattr(error, "__notes__", ()) if "JAX_TRACEBACK_FILTERING" not in x]
+        print("\n".join([f"slider: {text}", *notes]), file=sys.stderr)
         return 130 if stopped else 2
 
 

@@ -1,4 +1,4 @@
-"""`slider simulate`: simulates an experiment, or the robot's thrust from a pressure log."""
+"""`slider simulate` simulates an experiment or a pressure log; `slider export` exports a shape."""
 
 import sys
 import time
@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from slider_jax.cli.commands import SIMULATE_LOG, function_of
-from slider_jax.cli.options import Folder, MaybeWhole, ModelFile, Seconds, refuse_own_folder
+from slider_jax.cli.options import Folder, MaybeWhole, ModelFile, Seconds, Whole, refuse_own_folder
 from slider_jax.errors import InputError
 
 
@@ -19,6 +19,8 @@ def simulate(
     model: ModelFile = None,
     plot: bool = False,
     animate: bool = False,
+    view: bool = False,
+    shape: bool = False,
     step: Seconds = None,
     nodes: MaybeWhole = None,
     scheme: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None,
@@ -38,6 +40,9 @@ def simulate(
             its [[effects]] are added.
         plot: also draw the simulated and measured time series and the midlines of each trial (PNG).
         animate: also draw the last two strides of each trial as a film (GIF).
+        view: also write an interactive view of each trial (NAME_view.html), which a browser opens
+            without a network.
+        shape: also write the robot's shape at every step (NAME_shape.npz), for `slider export`.
         step: longest time step, in s; only for an experiment (default: numerics.step of the file,
             or 0.001).
         nodes: number of nodes along the robot; only for an experiment (default: numerics.nodes of
@@ -48,7 +53,8 @@ def simulate(
             pressure (measured); only for a log.
     """
     if input.suffix.lower() != ".toml":
-        options = {"--animate": animate, "--step": step, "--nodes": nodes, "--scheme": scheme}
+        options: dict[str, object] = {"--animate": animate, "--view": view, "--shape": shape}
+        options |= {"--step": step, "--nodes": nodes, "--scheme": scheme}
         for name, value in options.items():
             if value:
                 raise InputError(f"{name}: not allowed for a log; omit this option")
@@ -59,6 +65,7 @@ def simulate(
     from slider_jax.experiment.prepare import prepare
     from slider_jax.io.files import staged, write_csv, write_json
     from slider_jax.simulation.plots import plot_run
+    from slider_jax.simulation.shape import saved_shape, write_shape
     from slider_jax.simulation.summary import simulation_summary, trial_summary
     from slider_jax.simulation.trial import simulate_prepared
 
@@ -76,12 +83,12 @@ def simulate(
     prepared = [prepare(experiment, trial) for trial in experiment.trials]
     channels = experiment.channels
     formats = {TIME: ".9g"} | {x.column: x.digits for x in channels.values()}
-    results, shape = [], plot or animate
+    results, with_shape = [], plot or animate or view or shape
     with staged(out) as stage:
         for each in prepared:
             started, file = time.perf_counter(), each.trial.file
             with Progress(file, "step") as progress:
-                run = simulate_prepared(each, shape=shape, progress=progress.to)
+                run = simulate_prepared(each, shape=with_shape, progress=progress.to)
             result = trial_summary(experiment, run)
             results.append(result)
             write_csv(stage / file, run.columns, formats)
@@ -92,6 +99,13 @@ def simulate(
 
                 with Progress(file, "frame", "film of the last two strides") as progress:
                     animate_run(run, stage, progress.to)
+            if view:
+                from slider_jax.simulation.view import write_view
+
+                write_view(run, stage)
+            if shape:
+                info = simulation_summary(experiment, [result], input, model)
+                write_shape(saved_shape(run), info, stage / f"{Path(file).stem}_shape.npz")
             for line in _lines(result, channels, time.perf_counter() - started):
                 print(f"{file}  {line}", file=sys.stderr)
         write_json(stage / "summary.json", simulation_summary(experiment, results, input, model))
@@ -123,3 +137,32 @@ def _lines(result, channels, seconds: float) -> list[str]:
         ]
         lines.append(f"rms error: {', '.join(errors)}")
     return lines + [f"warning: {text}" for text in result["warnings"]]
+
+
+def export_shape(
+    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SHAPE.npz")],
+    out: Folder,
+    to: Literal["vtk"] = "vtk",
+    every: Whole = 1,
+) -> None:
+    """Converts a shape of `slider simulate --shape` to files for ParaView.
+
+    DIR receives one VTK file (.vtp) for each exported step, and NAME.pvd, which ParaView opens as a
+    film. Each file contains the midline in the tank, the moment and the vectors tau, n and b of the
+    sections at the nodes, and the force per length in the cells between the nodes.
+
+    Args:
+        input: file NAME_shape.npz of `slider simulate --shape`.
+        out: folder for the results; created if missing. Existing files are replaced.
+        to: format of the files.
+        every: export every N-th step.
+    """
+    from slider_jax.io.files import staged
+    from slider_jax.simulation.shape import read_shape, write_vtk
+
+    if every < 1:
+        raise InputError.value("--every", every, "1 or more")
+    shape, _ = read_shape(input)
+    with staged(out) as stage:
+        count = write_vtk(shape, input.stem, stage, every)
+    print(f"wrote {count} VTK files and {input.stem}.pvd to {out}", file=sys.stderr)

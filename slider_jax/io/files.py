@@ -134,9 +134,14 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def json_text(content: Any) -> str:
+    """Returns `content` as JSON; numbers that are not finite become null."""
+    return json.dumps(_plain(content), indent=2, allow_nan=False) + "\n"
+
+
 def write_json(path: Path | str, content: Any) -> None:
-    """Writes `content` to `path` as JSON, atomically; numbers that are not finite become null."""
-    write_text(path, json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
+    """Writes `content` to `path` as `json_text`, atomically."""
+    write_text(path, json_text(content))
 
 
 def write_csv(

@@ -33,8 +33,9 @@ def _scene(run: TrialRun, steps: np.ndarray):
     """Returns the figure, its moving artists, and a function that draws them at a time step."""
     from matplotlib.collections import LineCollection
 
-    line, moment = 1e3 * run.series["midline"], 1e3 * run.series["moment"]
-    shown, force = line[steps], run.series["force"]
+    # The film of a robot in three dimensions shows the robot from above.
+    line, moment = 1e3 * run.series["midline"][:, :2], 1e3 * run.series["moment"]
+    shown, force = line[steps], run.series["force"][:, :2]
     largest = np.abs(moment[steps]).max() or 1.0
     strongest = np.linalg.norm(force[steps], axis=1).max() or 1.0
 

@@ -72,22 +72,29 @@ def last_strides(run: TrialRun, frames: int, strides: int = 1, closed: bool = Fa
 
 
 def plot_midlines(run: TrialRun, path: Path) -> None:
-    """Plots midlines of the last stride relative to the head, and the tip's path."""
+    """Plots midlines of the last stride relative to the head, and the tip's path.
+
+    A robot in three dimensions is shown from above, and below that from the side.
+    """
     import matplotlib
 
     steps = last_strides(run, 16)
-    figure, ax = new_figure(figsize=(8, 4.5))
+    line = 1e3 * run.series["midline"]
+    panels, height = line.shape[1] - 1, 4.5 if line.shape[1] == 2 else 7.0
+    figure, axes = new_figure(panels, 1, figsize=(8, height), squeeze=False, sharex=True)
     colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.95, len(steps)))
-    for index, colour in zip(steps, colours, strict=True):
-        ax.plot(*(1e3 * run.series["midline"][index]), color=colour, lw=1.2)
-    tip = 1e3 * run.series["midline"][last_strides(run, 200, closed=True), :, 0]
-    ax.plot(*tip.T, "k:", lw=1.0, label="path of the tip")
     head = "head" if run.trial.support == "free" else "clamp"
-    ax.plot(0.0, 0.0, "ks", ms=7, label=head)
-    ax.set(xlabel=f"x, forward from the {head} (mm)", ylabel="y, lateral (mm; scale enlarged)")
-    ax.legend(loc="upper right", fontsize="small")
+    for ax, across in zip(axes[:, 0], (1, 2), strict=False):
+        for index, colour in zip(steps, colours, strict=True):
+            ax.plot(*line[index][[0, across]], color=colour, lw=1.2)
+        tip = line[last_strides(run, 200, closed=True), :, 0]
+        ax.plot(*tip[:, [0, across]].T, "k:", lw=1.0, label="path of the tip")
+        ax.plot(0.0, 0.0, "ks", ms=7, label=head)
+        ax.set_ylabel(f"{('y, lateral', 'z, upward')[across - 1]} (mm; scale enlarged)")
+    axes[-1, 0].set_xlabel(f"x, forward from the {head} (mm)")
+    axes[0, 0].legend(loc="upper right", fontsize="small")
     times = matplotlib.colors.Normalize(run.t[steps[0]], run.t[steps[-1]])
     scale = matplotlib.cm.ScalarMappable(times, "viridis")
-    figure.colorbar(scale, ax=ax, label="time (s)")
-    ax.set_title(run_title(run), fontsize="medium")
+    figure.colorbar(scale, ax=axes, label="time (s)")
+    axes[0, 0].set_title(run_title(run), fontsize="medium")
     save_figure(figure, path)

@@ -40,10 +40,11 @@ CHUNK = 250
 class SavedSeries:
     """Selects the series that are saved at every step: the true reading of each channel.
 
-    If `shape` is true, three series are added: `midline` (2, nodes) [m] relative to the head,
-    `moment` (nodes,) [N m] about b, and `force` (2, cells), the effects' force per length [N/m]. If
-    `path` is true, two series are added: `head` (2,) [m], the position of the head in the tank, and
-    `ahead` (2,) [m], the vector from the tail to the head.
+    If `shape` is true, four series are added: `midline` (2, nodes) [m] relative to the head,
+    `moment` (nodes,) [N m] about b, `force` (2, cells), the effects' force per length [N/m], and
+    `frame` (4, nodes), the quaternions of the sections' frames. If `path` is true, two series are
+    added: `head` (2,) [m], the position of the head in the tank, and `ahead` (2,) [m], the vector
+    from the tail to the head.
     Vectors of a robot in three dimensions have three components.
     """
 
@@ -61,10 +62,13 @@ class SavedSeries:
             "midline": x.positions() - x.head[:, None],
             "moment": x.moments(),
             "force": x.force_density(),
+            "frame": x.frame if isinstance(x, SpatialSnapshot) else _about_z(x.headings()),
         }
 
-    def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
-        """Returns the series' initial values for the `midline` (2, nodes) [m], without forces."""
+    def start(
+        self, model: Model, midline: np.ndarray, frame: Array | None = None
+    ) -> dict[str, np.ndarray]:
+        """Returns the series' initial values for `midline` [m] and `frame`, without forces."""
         values = {
             name: np.asarray(x.start(midline) if x.start else 0.0, float)
             for name, x in self.channels.items()
@@ -75,18 +79,28 @@ class SavedSeries:
         if self.path:
             values |= {"head": 0.0 * midline[:, -1], "ahead": midline[:, -1] - midline[:, 0]}
         if self.shape:
-            values["midline"] = midline
+            values["midline"], values["frame"] = midline, np.asarray(frame)
             values["moment"] = np.zeros(midline.shape[1])
             values["force"] = np.zeros_like(midline[:, 1:])
         return values
 
 
+def _about_z(angle: Array) -> Array:
+    """Returns the quaternions (4, nodes) of frames that are turned by `angle` [rad] about z."""
+    zero = jnp.zeros_like(angle)
+    return jnp.stack([jnp.cos(0.5 * angle), zero, zero, jnp.sin(0.5 * angle)])
+
+
 @eqx.filter_jit
-def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
-    """Returns the state at rest, and its midline (2, nodes) [m] relative to the head."""
+def _begin(model: Model, numerics: Numerics) -> tuple[Carry, Array, Array]:
+    """Returns the state at rest, its midline (2, nodes) [m] relative to the head, and its frames.
+
+    The frames are quaternions (4, nodes).
+    """
     carry = at_rest(model, numerics)
     phi, strain, head = carry.memory.motion[2], carry.memory.strain, carry.memory.head
-    return carry, node_positions(phi, strain, head, grid_of(model.body, numerics))
+    line = node_positions(phi, strain, head, grid_of(model.body, numerics))
+    return carry, line, _about_z(phi)
 
 
 @eqx.filter_jit
@@ -107,10 +121,10 @@ def advance_chunk(
 
 
 @eqx.filter_jit
-def _begin_in_space(model: Model, numerics: Numerics) -> tuple[SpatialCarry, jax.Array]:
-    """Returns the state at rest, and its midline (3, nodes) [m] relative to the head."""
+def _begin_in_space(model: Model, numerics: Numerics) -> tuple[SpatialCarry, Array, Array]:
+    """Does the same as `_begin` in three dimensions."""
     carry = at_rest_in_space(model, numerics)
-    return carry, straight_line(carry, grid_of(model.body, numerics).s)
+    return carry, straight_line(carry, grid_of(model.body, numerics).s), carry.frames[-1]
 
 
 @eqx.filter_jit
@@ -196,14 +210,14 @@ def simulate_prepared(
     """Simulates a prepared trial and interpolates the series at the sample times.
 
     The robot starts straight and at rest relative to the clamp, without forces. With `shape`, the
-    result contains midlines, moments and forces. `progress(steps done, total)` is called after each
-    chunk. Trials with the same waveform and mesh share one compiled program. Raises `SolverError`
-    with the trial, time and step if a step does not converge.
+    result contains midlines, moments, forces and frames. `progress(steps done, total)` is called
+    after each chunk. Trials with the same waveform and mesh share one compiled program. Raises
+    `SolverError` with the trial, time and step if a step does not converge.
     """
     model, numerics, grid = prepared.model, prepared.numerics, prepared.grid
     save = SavedSeries(prepared.channels, shape, path=prepared.trial.support == "free")
     spatial = model.space is not None
-    start, line = (_begin_in_space if spatial else _begin)(model, numerics)
+    start, line, frame = (_begin_in_space if spatial else _begin)(model, numerics)
     run_chunk: Callable = _advance_in_space if spatial else advance_chunk
     h = jnp.asarray(grid.h)
 
@@ -220,7 +234,7 @@ def simulate_prepared(
     parts, carry = run_chunks(advance, start, grid.steps, chunk, after)
     series = {
         name: np.concatenate([first[None], *(part[name] for part in parts)])[: grid.steps + 1]
-        for name, first in save.start(model, np.asarray(line)).items()
+        for name, first in save.start(model, np.asarray(line), frame).items()
     }
     for name in prepared.channels.without_start:
         series[name][0] = 2.0 * series[name][1] - series[name][2]

@@ -327,3 +327,14 @@ def test_missing_input_is_rejected_before_anything_is_written(command, tmp_path,
         message = capsys.readouterr().err
         assert str(words[-1]) in message and "Traceback" not in message
         assert not out.exists()
+
+
+def test_planar_commands_refuse_a_robot_in_three_dimensions_in_one_line(tmp_path, capsys):
+    file = write_small_experiment(
+        tmp_path,
+        ('name = "small"', 'name = "small"\ndimension = 3'),
+        ("height = 0.03", "height = 0.03\nGJ_body = 0.03\nGJ_tail = 0.003\npolar_inertia = 6e-5"),
+    )
+    assert main(["swim", str(file), "--out", str(tmp_path / "out")]) == 2
+    (line,) = (x for x in capsys.readouterr().err.splitlines() if "finding" not in x)
+    assert line.startswith("slider: error: dimension: given 3; allowed 2, because")

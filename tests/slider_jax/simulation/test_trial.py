@@ -109,6 +109,18 @@ def test_towing_starts_at_speed_and_costs_thrust(tmp_path):
     assert np.abs(towed.series["recoil"] - stationary.series["recoil"]).max() > 0.02
 
 
+def test_frames_of_the_sections_belong_to_the_midline(tmp_path):
+    """In a cell, the midline has the mean direction of the tau of its two nodes; b is upward."""
+    series = run_trial(load(write_small_experiment(tmp_path)), 0).series
+    w, x, y, z = np.moveaxis(series["frame"], 1, 0)
+    assert not x.any() and not y.any()
+    heading = 2.0 * np.arctan2(z, w)
+    steps = np.diff(series["midline"], axis=2)
+    mean = 0.5 * (heading[:, 1:] + heading[:, :-1])
+    np.testing.assert_allclose(np.arctan2(steps[:, 1], steps[:, 0]), mean, atol=1e-9)
+    assert np.abs(heading).max() > 0.1
+
+
 @pytest.mark.slow
 def test_a_stream_equals_towing_through_still_water(tmp_path):
     finer = ("nodes = 11", "nodes = 21")
