@@ -249,7 +249,13 @@ def test_invalid_numerics_on_the_command_line_are_rejected(flag, value, tmp_path
 
 def test_an_unknown_command_is_rejected(tmp_path, capsys):
     out = tmp_path / "out"
-    _refused(["simulat"], capsys, out, "given 'simulat'; allowed simulate, demo", "mean simulate?")
+    _refused(
+        ["simulat"],
+        capsys,
+        out,
+        "given 'simulat'; allowed simulate, export, demo",
+        "mean simulate?",
+    )
     _refused(
         ["calibrate", "manifld"], capsys, out, "'calibrate manifld'", "mean calibrate manifold?"
     )
@@ -337,4 +343,4 @@ def test_planar_commands_refuse_a_robot_in_three_dimensions_in_one_line(tmp_path
     )
     assert main(["swim", str(file), "--out", str(tmp_path / "out")]) == 2
     (line,) = (x for x in capsys.readouterr().err.splitlines() if "finding" not in x)
-    assert line.startswith("slider: error: dimension: given 3; allowed 2, because")
+    assert line.startswith(f"slider: error: {file}: dimension: given 3; allowed 2, because")
