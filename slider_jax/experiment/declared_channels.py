@@ -36,7 +36,7 @@ class AtPlace:
 
 @dataclass(frozen=True)
 class CoordinateOf:
-    """Returns the coordinate `axis` (0: x, 1: y) [m] of a point of the body in the tank."""
+    """Returns the coordinate `axis` (0: x, 1: y, 2: z) [m] of a point of the body in the tank."""
 
     place: float
     axis: int
@@ -98,12 +98,12 @@ def _added(table: ChannelTable) -> Iterator[Channel]:
     name = table.name or table.kind
     unit, plot_unit, factor, sensor, discrepancy = KINDS[table.kind]
     for axis, column in enumerate(table.columns):
-        both = len(table.columns) == 2
-        own = f"{name}_{'xy'[axis]}" if both else name
+        several = len(table.columns) > 1
+        own = f"{name}_{'xyz'[axis]}" if several else name
         observe: Callable[[obs.AnySnapshot], Array]
         if table.s is None:
             observe = WHOLE[table.kind]
-        elif both:
+        elif several:
             observe = CoordinateOf(table.s, axis)
         else:
             observe = AtPlace(READINGS[table.kind], table.s)

@@ -24,6 +24,8 @@ RIGID_FACTOR = 1e4
 """EI and EA of a rigid segment, divided by the largest EI and EA of the flexible segments."""
 RIGID = {"EI": 100.0, "EA": 1e7}
 """Smallest EI [N m^2] and EA [N] of a rigid segment."""
+STIFF = 100.0
+"""GJ and EI_n [N m^2] of a rigid segment."""
 IN_SPACE = ("GJ_body", "GJ_tail", "EI_n_body", "EI_n_tail", "polar_inertia", "width")
 """Keys of a uniform robot that only simulations in three dimensions use."""
 Pieces = dict[str, np.ndarray]
@@ -122,7 +124,9 @@ def _pieces(robot: SegmentedRobotTable, segment: SegmentTable, folder: Path) -> 
         name: getattr(robot, name) if getattr(segment, name) is None else getattr(segment, name)
         for name in ("GJ", "EI_n")
     }
-    if own_in_space["EI_n"] is None and own_in_space["GJ"] is not None:
+    if segment.rigid:
+        own_in_space = dict.fromkeys(own_in_space, None if robot.polar_inertia is None else STIFF)
+    elif own_in_space["EI_n"] is None and own_in_space["GJ"] is not None:
         found["EI_n"] = found["EI"]
         del own_in_space["EI_n"]
     for name, value in (common_in_space | own_in_space).items():

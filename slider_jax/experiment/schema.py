@@ -166,7 +166,9 @@ class SegmentedRobotTable(BodyTable):
 
     @property
     def lacking_in_space(self) -> list[str]:
-        segments = [f"segments.{i}.GJ" for i, x in enumerate(self.segments) if x.GJ is None]
+        segments = [
+            f"segments.{i}.GJ" for i, x in enumerate(self.segments) if x.GJ is None and not x.rigid
+        ]
         lacking = [] if self.GJ is not None else segments
         return [*lacking, *(["polar_inertia"] if self.polar_inertia is None else [])]
 
@@ -501,6 +503,9 @@ class ExperimentTable(Table):
             if x.actuator is not None and x.actuator not in self.chamber_names:
                 names = ", ".join(self.chamber_names) or "none"
                 fail(f"sensors.channels.{i}.actuator", repr(x.actuator), f"chambers: {names}")
+            if len(x.columns) > self.dimension:
+                allowed = "one or two columns, unless dimension is 3"
+                fail(f"sensors.channels.{i}.columns", list(x.columns), allowed)
             if x.s is not None and x.s > length * (1.0 + 1e-9):
                 fail(f"sensors.channels.{i}.s", x.s, f"0 to {length:g} m, the robot's length")
         return self

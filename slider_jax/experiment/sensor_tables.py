@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from slider_jax.experiment.tables import FROM_LIST, Force, Length, Name, Share, Table, fail
 from slider_jax.io.units import Quantity
 
-Columns = Annotated[tuple[str, ...], FROM_LIST, Field(min_length=1, max_length=2)]
+Columns = Annotated[tuple[str, ...], FROM_LIST, Field(min_length=1, max_length=3)]
 BUILT_IN_KINDS = ("pressure", "thrust", "recoil", "tip")
 """Kinds of channels that exist without a table. Their tables change the column and the errors."""
 AT_A_PLACE = ("marker", "curvature", "angle", "turning_rate")
@@ -24,7 +24,7 @@ class ChannelTable(Table):
     | `yaw_moment` | moment on the clamp, counter-clockwise from above, N m |
     | `tip` | lateral position of the tip relative to the head, m |
     | `marker` | one column: lateral position relative to the head, m. Two columns: x and y in the \
-tank, m |
+tank, m. Three columns, with dimension = 3: x, y and z in the tank, m |
     | `curvature` | curvature, 1/m |
     | `angle`, `turning_rate` | angle of the body, rad, and its rate, rad/s; an inertial sensor |
     | `speed` | forward speed of the head in the tank, m/s |
@@ -56,9 +56,8 @@ tank, m |
         if (self.kind == "pressure") != (self.actuator is not None):
             given = "nothing" if self.actuator is None else repr(self.actuator)
             fail("actuator", given, "the name of an actuator, only for the kind pressure")
-        most = 2 if self.kind == "marker" else 1
-        if len(self.columns) > most:
-            fail("columns", list(self.columns), f"{most} column for the kind {self.kind}")
+        if len(self.columns) > 1 and self.kind != "marker":
+            fail("columns", list(self.columns), f"1 column for the kind {self.kind}")
         if self.name is not None and self.kind in BUILT_IN_KINDS:
             fail("name", repr(self.name), f"nothing: the kind {self.kind} has a name")
         if self.name is None and self.kind in AT_A_PLACE:

@@ -29,13 +29,14 @@ def lateral(x: AnySnapshot) -> Float[Array, " nodes"]:
     return y - y[-1]
 
 
-def point(x: AnySnapshot, place: float) -> Float[Array, "2"]:
-    """Returns the position (x, y) [m] of the body at the distance `place` [m] from the head.
+def point(x: AnySnapshot, place: float) -> Float[Array, " axes"]:
+    """Returns the position [m] of the body at the distance `place` [m] from the head.
 
+    The axes are x and y, and also z for a robot in three dimensions.
     Between two nodes, the position is a cubic polynomial that has the direction of the body at
     both nodes.
     """
-    s, line, tau = x.mesh.grid.s, midline(x), x.directions()[:2]
+    s, line, tau = x.mesh.grid.s, x.positions(), x.directions()
     at = s[-1] - place
     i = jnp.clip(jnp.searchsorted(s, at, side="right") - 1, 0, s.shape[0] - 2)
     stretched = (1.0 + x.memory.strain[i]) * (s[i + 1] - s[i])

@@ -156,6 +156,25 @@ def test_a_segment_without_torsional_stiffness_is_named():
         experiment(SEGMENTS, robot__segments__1__GJ=None)
 
 
+MARKER = {"kind": "marker", "name": "fin", "s": 0.3, "columns": ["X_m", "Y_m", "Z_m"]}
+
+
+def test_a_marker_has_three_coordinates_in_space_only():
+    channels = experiment(sensors={"channels": [MARKER]}).channels
+    assert channels.columns[-3:] == ("X_m", "Y_m", "Z_m")
+    flat = {"dimension": 2, "actuators__0__angle": None, "trials__0__roll": None}
+    with pytest.raises(InputError, match="sensors.channels.0.columns: .* unless dimension is 3"):
+        experiment(sensors={"channels": [MARKER]}, **flat)
+
+
+def test_a_rigid_segment_is_stiff_against_torsion(tmp_path):
+    rigid = SEGMENTS.replace("length = 0.2\nGJ = 0.03", "length = 0.2\nrigid = true")
+    (tmp_path / "rigid.toml").write_text(rigid)
+    robot = to_model(load(tmp_path / "rigid.toml", spatial=True)).body
+    structure = spatial_mesh(robot, Numerics(tail_cells=4, body_cells=8)).structure
+    np.testing.assert_allclose(np.array(structure.stiffness.tau)[[0, -1]], [0.01, 100.0])
+
+
 def test_planar_commands_refuse_three_dimensions(tmp_path):
     (tmp_path / "strip.toml").write_text(FILE)
     with pytest.raises(InputError, match=r"strip.toml: dimension: given 3; allowed 2"):
