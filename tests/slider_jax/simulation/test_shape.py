@@ -34,7 +34,7 @@ def rolled_arc(folder, *changes, dimension=3):
     file = write_small_experiment(
         folder, *(IN_SPACE if dimension == 3 else IN_SPACE[2:3]), *changes
     )
-    prepared = prepare(load(file), 0)
+    prepared = prepare(load(file, spatial=True), 0)
     run = TrialRun(prepared, {}, {}, 0)
     t, nodes = run.t, prepared.numerics.tail_cells + prepared.numerics.body_cells + 1
     s = np.linspace(-LENGTH, 0.0, nodes)
@@ -199,7 +199,7 @@ def test_midlines_are_drawn_from_above_and_in_space_also_from_the_side(
 def test_frames_of_a_simulated_robot_in_space_belong_to_its_midline(tmp_path):
     """tau is the tangent: against the chord over two cells of a smooth shape to 2 %."""
     file = write_small_experiment(tmp_path, *IN_SPACE, ("nodes = 11", "nodes = 21"))
-    run = simulate_trial(load(file), 0, shape=True)
+    run = simulate_trial(load(file, spatial=True), 0, shape=True)
     shape = saved_shape(run)
     tau, _, b = np.moveaxis(shape.axes(), 1, 0)
     chord = shape.midline_m[:, :, 2:] - shape.midline_m[:, :, :-2]
