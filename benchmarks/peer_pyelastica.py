@@ -163,21 +163,32 @@ def make_simulator(case, step, members=1, p_set=P_SET, frequency=FREQUENCY, rate
     return simulator, rods
 
 
-def tip_history(case, step, duration=1.0, **kwargs):
-    """Returns the lateral tip position after every step, or None if a value is not finite."""
-    simulator, rods = make_simulator(case, step, **kwargs)
+def tip_position(rod):
+    return rod.position_collection[:, -1]
+
+
+def march(simulator, rod, step, duration, read=tip_position):
+    """Returns `read(rod)` after every step, (steps, n), or None if the rod becomes unstable."""
     stepper, now = ea.PositionVerlet(), 0.0
-    tip = np.empty(math.ceil(duration / step - 1e-9))
+    limit = 1.5 * rod.rest_lengths.sum()
+    series = np.empty((math.ceil(duration / step - 1e-9), read(rod).size))
     np.seterr(all="ignore")
-    for i in range(tip.size):
+    for i in range(len(series)):
         try:
             now = stepper.step(simulator, now, step)
         except ZeroDivisionError:  # compiled kernels raise it after the rod becomes unstable
             return None
-        tip[i] = rods[0].position_collection[1, -1]
-        if not abs(tip[i]) < LENGTH:  # also true for nan
+        if not np.abs(tip_position(rod)).max() < limit:  # also true for nan
             return None
-    return tip if np.isfinite(rods[0].velocity_collection).all() else None
+        series[i] = read(rod)
+    return series if np.isfinite(rod.velocity_collection).all() else None
+
+
+def tip_history(case, step, duration=1.0, **kwargs):
+    """Returns the lateral tip position after every step, or None if a value is not finite."""
+    simulator, rods = make_simulator(case, step, **kwargs)
+    tip = march(simulator, rods[0], step, duration)
+    return None if tip is None else tip[:, 1]
 
 
 def tip_range(case, step):
@@ -194,23 +205,32 @@ def check_step(case, step):
     return fine is not None and abs(here - fine) <= 0.02 * fine, here, fine
 
 
-def bisect_step(case):
-    """Returns the largest usable step with an error of 5 %, by bisection around the default."""
-    low, high = STEP_S[case] / 2, STEP_S[case] * 2
-    while not check_step(case, low)[0]:
+def largest_step(usable, start):
+    """Returns the largest usable step with an error of 5 %, by bisection around `start`."""
+    low, high = start / 2, start * 2
+    while not usable(low):
         low, high = low / 2, low
-    while check_step(case, high)[0]:
+    while usable(high):
         low, high = high, high * 2
     while high / low > 1.05:
-        usable, *ranges = check_step(case, middle := math.sqrt(low * high))
-        print(f"  {case}: {middle:.3e} s,", *map(millimetres, ranges), usable)
-        low, high = (middle, high) if usable else (low, middle)
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if usable(middle) else (low, middle)
     return low
 
 
-def core_seconds(case, step, members, window, repeats):
+def bisect_step(case):
+    """Returns the largest usable step of the case; see `check_step`."""
+
+    def usable(step):
+        good, *ranges = check_step(case, step)
+        print(f"  {case}: {step:.3e} s,", *map(millimetres, ranges), good)
+        return good
+
+    return largest_step(usable, STEP_S[case])
+
+
+def core_seconds(simulator, step, window, repeats):
     """Returns CPU and wall seconds per simulated second of each repeat, without compilation."""
-    simulator, _ = make_simulator(case, step, members)
     stepper, now, cpu, wall = ea.PositionVerlet(), 0.0, [], []
     n_steps = round(window / step)
     for _ in range(20):  # compiles and warms up
@@ -275,7 +295,8 @@ def main():
         here, fine = (tip_range(case, step), None) if args.quick else check_step(case, step)[1:]
         report["tip_range_m"][case], report["tip_range_fine_m"][case] = here, fine
         window = {"robot": 0.5, "sheet": 0.2}[case] / shorten
-        cpu, wall = core_seconds(case, step, 1, window, repeats)
+        simulator, _ = make_simulator(case, step)
+        cpu, wall = core_seconds(simulator, step, window, repeats)
         result = {"step_s": step, "single_core_s_per_sim_s": min(cpu),
                   "single_core_s_per_sim_s_median": statistics.median(cpu),
                   "single_wall_s_per_sim_s_min": min(wall)}  # fmt: skip
@@ -287,7 +308,8 @@ def main():
             result["batch"], result["batch_median"] = {}, {}
             for members in (16, 112):
                 window = min(0.2, 11.2 / members) / shorten
-                cpu, wall = core_seconds(case, step, members, window, repeats)
+                simulator, _ = make_simulator(case, step, members)
+                cpu, wall = core_seconds(simulator, step, window, repeats)
                 low, middle = min(cpu) / members, statistics.median(cpu) / members
                 result["batch"][str(members)], result["batch_median"][str(members)] = low, middle
                 print(f"  {members:7d} {low:40.4f} {middle:9.4f} {min(wall) / members:9.4f}")
