@@ -37,12 +37,11 @@ from speed import least_cpu_seconds
 
 from slider_jax.actuation import FirstOrderLag, SineWave
 from slider_jax.beam.parameters import Numerics, uniform_robot
-from slider_jax.beam.spatial import Quaternion
-from slider_jax.dynamics.model import Drive, Model
+from slider_jax.dynamics.model import Drive, Model, SpaceSettings
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.effects import Gravity, NormalDrag
 from slider_jax.io.files import versions
-from slider_jax.spatial.step import at_rest_in_space, spatial_rollout
+from slider_jax.spatial.step import spatial_rollout
 from slider_jax.supports import Clamped
 
 LENGTH, HEIGHT, WIDTH = 0.3, 0.015, 0.006  # m; the height is along b, and the width along n
@@ -84,7 +83,8 @@ def strip(in_water: bool) -> Model:
     weight = Gravity(G, elevation=math.pi / 2, density=RHO_WATER if in_water else 0.0)
     effects = (weight, NormalDrag(C_DRAG, RHO_WATER)) if in_water else (weight,)
     still = Drive((SineWave(1.0, 0.0), SineWave(1.0, 0.0)))
-    model = Model(robot, effects, FirstOrderLag(0.1), still, Clamped())
+    space = SpaceSettings(jnp.zeros(2), ROLL)
+    model = Model(robot, effects, FirstOrderLag(0.1), still, Clamped(), space=space)
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
 
@@ -94,17 +94,14 @@ def run(model: Model, cells: int, steps: int):
     The twist is relative to the clamp: the integral of Omega_tau. `steps` is the number of time
     steps per sample.
     """
-    half = jnp.asarray(0.5 * ROLL)
-    attitude = Quaternion(jnp.cos(half), jnp.sin(half), 0.0 * half, 0.0 * half)
     numerics = Numerics(tail_cells=cells // 5, body_cells=cells - cells // 5)
-    begin = at_rest_in_space(model, numerics, attitude=attitude)
     times = TimeGrid(SAMPLE / steps, SAMPLES * steps)
 
     def save(x):
         twist = jnp.sum(x.memory.curvature[0] * x.mesh.grid.ds)
         return jnp.append(x.positions()[:, 0], twist)
 
-    out = spatial_rollout(model, times, save, numerics, begin=begin, checkpoint=False)
+    out = spatial_rollout(model, times, save, numerics, checkpoint=False)
     return out.saved[steps - 1 :: steps], out.ok
 
 
@@ -312,8 +309,8 @@ def costs_of_the_dimensions(rounds: int) -> dict:
         return out.ok, out.final.factorisations
 
     def in_space(amplitude, angles):
-        model = cases.with_amplitude(space, amplitude)
-        out = spatial_rollout(model, times, angles=angles, **options)
+        model = replace(cases.with_amplitude(space, amplitude), space=SpaceSettings(angles))
+        out = spatial_rollout(model, times, **options)
         return out.ok, out.final.factorisations
 
     factorisations, calls = {}, {}
@@ -351,7 +348,7 @@ def plain(x):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", metavar="FILE.json", help="JSON file for the results")
-    parser.add_argument("--rounds", type=int, default=5, help="rounds of the timings (default: 5)")
+    parser.add_argument("--rounds", type=int, default=3, help="rounds of the timings (default: 3)")
     args = parser.parse_args()
     report: dict = {"machine": machine_line(), "load": os.getloadavg(), "versions": versions()}
     report["versions"] |= {name: version(name) for name in ("pyelastica", "numba")}
