@@ -4,7 +4,7 @@ The frame of a section has the axes tau (towards the head), n and b = tau x n. V
 their components in this frame. A planar beam moves along tau and n and turns about b.
 
     d(eps)/dt tau + (1 + eps) omega x tau = dV/ds + Omega x V                  (stretch and turn)
-    M = K (Omega - Omega_0 + alpha d(Omega)/dt) - M_act,  K = (GJ, EI_n, EI_b) (moment law)
+    M = K (Omega + alpha d(Omega)/dt) - M_act,  K = (GJ, EI_n, EI_b)           (moment law)
     m (dV/dt + omega x V)                 = dT/ds + Omega x T + (1 + eps) F    (force)
     J d(omega)/dt + omega x (J omega)     = dM/ds + Omega x M + (1 + eps) (tau x T + C)   (moment)
 
@@ -84,6 +84,18 @@ class Quaternion(NamedTuple):
         return jnp.stack(
             [sum(p * q for p, q in zip(axis, vector, strict=True)) for axis in self.axes()]
         )
+
+
+def about_tau(angle: Array) -> Quaternion:
+    """Returns the quaternion of a roll by `angle` [rad] about tau."""
+    half, zero = 0.5 * angle, jnp.zeros_like(angle)
+    return Quaternion(jnp.cos(half), jnp.sin(half), zero, zero)
+
+
+def about_b(angle: Array) -> Quaternion:
+    """Returns the quaternion of a turn by `angle` [rad] about b."""
+    half, zero = 0.5 * angle, jnp.zeros_like(angle)
+    return Quaternion(jnp.cos(half), zero, zero, jnp.sin(half))
 
 
 def unit(q: Quaternion) -> Quaternion:
@@ -169,8 +181,6 @@ class SpatialStructure(eqx.Module):
     """Moments of inertia per length [kg m]; the one about tau is positive."""
     stiffness: Vec
     """GJ, EI_n and EI_b [N m^2]."""
-    initial_curvature: Vec
-    """Omega_0 [1/m]: twist, and curvatures about n and about b, of the unloaded robot."""
     EA: Array
     damping_time: Array
     height: Array
@@ -335,7 +345,7 @@ def equations_in_space(
     stretch, omega, curvature = 1.0 + x.strain, x.omega, x.curvature
     strain_t = (x.strain - reference.strain) / reference.dt
     moved = slope.V.plus(curvature.cross(mid.V))
-    bent = curvature.minus(s.initial_curvature).plus(x.curvature_t.times(s.damping_time))
+    bent = curvature.plus(x.curvature_t.times(s.damping_time))
     V_t = mid.V.minus(reference.V).times(1.0 / reference.dt)
     pull = slope.T.plus(curvature.cross(mid.T)).plus(load.force.times(stretch))
     push = V_t.plus(omega.cross(mid.V)).times(s.linear_density)

@@ -75,6 +75,26 @@ def rollout(
     mesh = make_mesh(model.body, numerics)
     if begin is None:
         begin = at_rest(model, numerics, times.t0)
+    step = make_step(model, mesh, numerics, scheme)
+    final, saved = run_steps(step, begin, model, times, save, scheme, chambers, checkpoint)
+    return Rollout(times.times, saved, final, mesh)
+
+
+def run_steps(
+    step: Callable,
+    begin: Any,
+    model: Model,
+    times: TimeGrid,
+    save: Callable[[Any], Any],
+    scheme: Scheme,
+    chambers: Chambers | None,
+    checkpoint: bool,
+) -> tuple[Any, Any]:
+    """Returns the final carry and the saved series of `step`, repeated over `times`.
+
+    `step` and its carry `begin` are planar or in three dimensions. For the other arguments, see
+    `rollout`.
+    """
     begins = times.t0 + times.h * jnp.arange(float(times.steps))
     if chambers is None:
         at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)  # (steps, stages)
@@ -82,7 +102,6 @@ def rollout(
         chambers = chamber_history(model, begin.chambers, at)
     shape = (times.steps, scheme.stages)
     stages = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), chambers)
-    step = make_step(model, mesh, numerics, scheme)
 
     def body(carry, inputs):
         t, chambers = inputs
@@ -91,8 +110,7 @@ def rollout(
 
     if checkpoint:
         body = jax.checkpoint(body, prevent_cse=False)
-    final, saved = jax.lax.scan(body, begin, (begins, stages))
-    return Rollout(times.times, saved, final, mesh)
+    return jax.lax.scan(body, begin, (begins, stages))
 
 
 def continued(

@@ -18,11 +18,13 @@ from slider_jax.effects.base import (
     Prior as Prior,
     Readings as Readings,
     WaterMotion as WaterMotion,
+    in_space as in_space,
     mean_of_others as mean_of_others,
     of_place as of_place,
     parameter as parameter,
     shape_parameter as shape_parameter,
     total_force as total_force,
+    total_load as total_load,
 )
 from slider_jax.effects.body.gravity import Gravity as Gravity
 from slider_jax.effects.water.drag import NormalDrag as NormalDrag

@@ -16,8 +16,7 @@ from slider_jax.beam.parameters import Numerics, Robot, Scalar
 from slider_jax.channels import TIME, ChannelSet
 from slider_jax.dynamics.model import Model, SpaceSettings
 from slider_jax.dynamics.time_schemes import SCHEMES, Scheme
-from slider_jax.effects import Effect, NormalDrag, ReactiveForce
-from slider_jax.effects.base import in_space
+from slider_jax.effects import Effect, NormalDrag, ReactiveForce, in_space
 from slider_jax.effects.library import KNOWN_EFFECTS, LIBRARY
 from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.declared_channels import declared_channels

@@ -119,23 +119,27 @@ def _pieces(robot: SegmentedRobotTable, segment: SegmentTable, folder: Path) -> 
         else:
             values = np.full(len(at), common if own is None else own)
         found[name] = np.stack([values[:-1], values[1:]], axis=1)
-    common_in_space = {"polar_inertia": robot.polar_inertia, "width": robot.width}
-    own_in_space = {
-        name: getattr(robot, name) if getattr(segment, name) is None else getattr(segment, name)
-        for name in ("GJ", "EI_n")
-    }
-    if segment.rigid:
-        own_in_space = dict.fromkeys(own_in_space, None if robot.polar_inertia is None else STIFF)
-    elif own_in_space["EI_n"] is None and own_in_space["GJ"] is not None:
-        found["EI_n"] = found["EI"]
-        del own_in_space["EI_n"]
-    for name, value in (common_in_space | own_in_space).items():
-        if value is not None:
-            found[name] = np.full((len(at) - 1, 2), value)
+    if not robot.lacking_in_space:
+        found |= _pieces_in_space(robot, segment, found["EI"])
     density = robot.density_of(segment)
     if density is not None:
         found["area"] = found["linear_density"] / density
     return found
+
+
+def _pieces_in_space(robot: SegmentedRobotTable, segment: SegmentTable, EI: np.ndarray) -> Pieces:
+    """Returns the properties that only simulations in three dimensions use; EI_n may be `EI`."""
+
+    def own(name: str) -> float | None:
+        value = getattr(segment, name)
+        return getattr(robot, name) if value is None else value
+
+    found = {"GJ": own("GJ"), "EI_n": own("EI_n"), "polar_inertia": robot.polar_inertia}
+    if segment.rigid:
+        found |= {"GJ": STIFF, "EI_n": STIFF}
+    if robot.width is not None:
+        found["width"] = robot.width
+    return {name: EI if x is None else np.full(EI.shape, x) for name, x in found.items()}
 
 
 def _profile(path: Path, segment: SegmentTable) -> dict[str, np.ndarray]:

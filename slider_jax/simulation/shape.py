@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slider_jax.beam.spatial import Quaternion
 from slider_jax.errors import InputError
 from slider_jax.io.files import json_text, write_text
 from slider_jax.simulation.trial import TrialRun
@@ -46,11 +47,9 @@ class SavedShape(NamedTuple):
 
     def axes(self) -> np.ndarray:
         """Returns the vectors tau, n and b at the nodes (steps, axis, 3, nodes)."""
-        w, x, y, z = np.moveaxis(self.frame, 1, 0)
-        tau = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-        n = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
-        b = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
-        return np.stack([np.stack(axis, axis=1) for axis in (tau, n, b)], axis=1)
+        # Indices of the array: axis of space, axis of the section, step, node.
+        components: np.ndarray = np.array(Quaternion(*np.moveaxis(self.frame, 1, 0)).axes())
+        return components.transpose(2, 1, 0, 3)
 
 
 def saved_shape(run: TrialRun) -> SavedShape:

@@ -12,6 +12,7 @@ from jaxtyping import Array
 
 from slider_jax import observables as obs
 from slider_jax.beam.parameters import Numerics, grid_of
+from slider_jax.beam.spatial import about_b
 from slider_jax.beam.state import node_positions
 from slider_jax.channels import TIME, ChannelSet
 from slider_jax.dynamics.model import Model
@@ -62,7 +63,9 @@ class SavedSeries:
             "midline": x.positions() - x.head[:, None],
             "moment": x.moments(),
             "force": x.force_density(),
-            "frame": x.frame if isinstance(x, SpatialSnapshot) else _about_z(x.headings()),
+            "frame": x.frame
+            if isinstance(x, SpatialSnapshot)
+            else jnp.stack(about_b(x.headings())),
         }
 
     def start(
@@ -85,12 +88,6 @@ class SavedSeries:
         return values
 
 
-def _about_z(angle: Array) -> Array:
-    """Returns the quaternions (4, nodes) of frames that are turned by `angle` [rad] about z."""
-    zero = jnp.zeros_like(angle)
-    return jnp.stack([jnp.cos(0.5 * angle), zero, zero, jnp.sin(0.5 * angle)])
-
-
 @eqx.filter_jit
 def _begin(model: Model, numerics: Numerics) -> tuple[Carry, Array, Array]:
     """Returns the state at rest, its midline (2, nodes) [m] relative to the head, and its frames.
@@ -100,7 +97,7 @@ def _begin(model: Model, numerics: Numerics) -> tuple[Carry, Array, Array]:
     carry = at_rest(model, numerics)
     phi, strain, head = carry.memory.motion[2], carry.memory.strain, carry.memory.head
     line = node_positions(phi, strain, head, grid_of(model.body, numerics))
-    return carry, line, _about_z(phi)
+    return carry, line, jnp.stack(about_b(phi))
 
 
 @eqx.filter_jit

@@ -57,7 +57,6 @@ def _structure(robot: Robot, planar: Mesh) -> SpatialStructure:
         linear_density=s.linear_density,
         inertia=Vec(mean("polar_inertia", ""), zero, zero),
         stiffness=Vec(mean("GJ", ""), mean("EI_n", "EI"), s.EI),
-        initial_curvature=Vec(zero, zero, zero),
         EA=s.EA,
         damping_time=s.damping_time,
         height=s.height,

@@ -27,8 +27,7 @@ from slider_jax.beam.spatial import (
     turning_of,
 )
 from slider_jax.dynamics.block_solver import BeamOperator
-from slider_jax.effects import Effect
-from slider_jax.effects.base import total_load
+from slider_jax.effects import Effect, total_load
 from slider_jax.supports import Support
 
 

@@ -10,12 +10,14 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
-from slider_jax.beam.parameters import Numerics, scales_of
+from slider_jax.beam.parameters import Numerics, grid_of, scales_of
 from slider_jax.beam.spatial import (
     Quaternion,
     SpatialReference,
     SpatialSection,
     Vec,
+    about_b,
+    about_tau,
     rotation_vector,
     strain_in_space,
     turned,
@@ -23,10 +25,10 @@ from slider_jax.beam.spatial import (
 )
 from slider_jax.dynamics.model import Model, SpaceSettings
 from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
-from slider_jax.dynamics.pressures import Chambers, chamber_history, start_chambers
-from slider_jax.dynamics.rollout import TimeGrid
+from slider_jax.dynamics.pressures import Chambers, start_chambers
+from slider_jax.dynamics.rollout import TimeGrid, run_steps
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme, extrapolation
-from slider_jax.effects.base import in_space, total_load
+from slider_jax.effects import in_space, total_load
 from slider_jax.spatial.mesh import SpatialMesh, spatial_mesh
 from slider_jax.spatial.residual import (
     LEFT,
@@ -204,6 +206,8 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
     nodes, weights = jnp.asarray(scheme.nodes), jnp.asarray(scheme.weights)
     grid, angles = mesh.grid, jnp.asarray(settings_in_space(model).angles, float)
     zero = jnp.zeros_like(grid.ds)
+    bending_n = -mesh.chambers * jnp.sin(angles)[:, None]
+    bending_b = mesh.chambers * jnp.cos(angles)[:, None]
 
     def mean_of(x: Float[Array, "3 nodes"]) -> Vec:
         return Vec(*grid.mid(x))
@@ -221,8 +225,6 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             twist_slope=slope,
             dt=dt,
         )
-        couples = chambers.acting @ (mesh.chambers * jnp.cos(angles)[:, None])
-        sideways = chambers.acting @ (mesh.chambers * jnp.sin(angles)[:, None])
         water = jnp.stack(jax.jvp(model.water_velocity, (t,), (jnp.ones_like(t),)))
         stage = SpatialStage(
             structure=mesh.structure,
@@ -231,7 +233,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             reference=reference,
             frame=start,
             theta=Vec(*memory.theta),
-            active_moment=Vec(zero, -sideways, couples),
+            active_moment=Vec(zero, chambers.acting @ bending_n, chambers.acting @ bending_b),
             water=_space(water),
             t=t,
         )
@@ -332,11 +334,9 @@ def at_rest_in_space(
     t = jnp.asarray(t0, float)
     velocity, angle, rate = model.support.start(t)
     one = jnp.ones_like(t)
-    own = turned(Vec(roll * one, 0.0 * one, 0.0 * one)) if attitude is None else attitude
-    about_z = turned(Vec(0.0 * one, 0.0 * one, jnp.asarray(angle, float)))
-    frame = about_z.after(own)
-    mesh = spatial_mesh(model.body, numerics)
-    s = mesh.grid.s
+    own = about_tau(jnp.asarray(roll, float)) if attitude is None else attitude
+    frame = about_b(jnp.asarray(angle, float)).after(own)
+    s = grid_of(model.body, numerics).s
     zero = jnp.zeros_like(s)
     turning = frame.to_frame(jnp.stack([0.0 * one, 0.0 * one, rate * one]))
     ahead = frame.to_frame(_space(jnp.stack([jnp.asarray(v, float) for v in velocity])))
@@ -390,20 +390,6 @@ def spatial_rollout(
     mesh = spatial_mesh(model.body, numerics)
     if begin is None:
         begin = at_rest_in_space(model, numerics, times.t0)
-    begins = times.t0 + times.h * jnp.arange(float(times.steps))
-    instants = begins[:, None] + times.h * jnp.asarray(scheme.nodes)  # (steps, stages)
-    instants = jnp.concatenate([jnp.asarray(times.t0, instants.dtype)[None], instants.ravel()])
-    chambers = chamber_history(model, begin.chambers, instants)
-    shape = (times.steps, scheme.stages)
-    stages = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), chambers)
     step = make_spatial_step(model, mesh, numerics, scheme)
-
-    def body(carry, inputs):
-        t, chambers = inputs
-        carry, snapshot = step(carry, (t, jnp.asarray(times.h), chambers))
-        return carry, save(snapshot)
-
-    if checkpoint:
-        body = jax.checkpoint(body, prevent_cse=False)
-    final, saved = jax.lax.scan(body, begin, (begins, stages))
+    final, saved = run_steps(step, begin, model, times, save, scheme, None, checkpoint)
     return SpatialRollout(times.times, saved, final, mesh)

@@ -2,6 +2,7 @@
 
 import copy
 import tomllib
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,13 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import assemble, load, to_model
 from slider_jax.spatial.mesh import spatial_mesh
 
-FILE = """
+PARAMETERS = """[parameters]
+C_d = 3.0
+m_a = 1.0
+k = 0.087
+K_Q = 4.79e-7
+"""
+FILE = f"""
 name = "strip"
 dimension = 3
 [robot]
@@ -33,19 +40,14 @@ kind = "pneumatic"
 name = "front"
 span = [0.02, 0.145]
 angle = 0.4
-[parameters]
-C_d = 3.0
-m_a = 1.0
-k = 0.087
-K_Q = 4.79e-7
-[[trials]]
+{PARAMETERS}[[trials]]
 file = "still.csv"
 frequency = 2.0
 amplitude = 1e5
 roll = 0.3
 duration = 1.0
 """
-SEGMENTS = """
+SEGMENTS = f"""
 name = "segments"
 dimension = 3
 [robot]
@@ -62,12 +64,7 @@ length = 0.1
 part = "tail"
 GJ = 0.01
 EI_n = 0.3
-[parameters]
-C_d = 3.0
-m_a = 1.0
-k = 0.087
-K_Q = 4.79e-7
-[[trials]]
+{PARAMETERS}[[trials]]
 file = "still.csv"
 frequency = 2.0
 duration = 1.0
@@ -85,7 +82,7 @@ def experiment(text=FILE, **changes):
             del table[last]
         else:
             table[last] = value
-    return assemble(content, "file.toml", None)
+    return assemble(content, "file.toml", Path("."))
 
 
 def test_the_model_has_the_properties_of_the_file(tmp_path):
@@ -165,6 +162,11 @@ def test_a_marker_has_three_coordinates_in_space_only():
     flat = {"dimension": 2, "actuators__0__angle": None, "trials__0__roll": None}
     with pytest.raises(InputError, match="sensors.channels.0.columns: .* unless dimension is 3"):
         experiment(sensors={"channels": [MARKER]}, **flat)
+
+
+def test_a_planar_file_may_give_torsional_stiffness_for_some_segments_only():
+    robot = experiment(SEGMENTS, dimension=2, robot__segments__1__GJ=None).robot_model()
+    assert robot.body.GJ is None and robot.tail.GJ is None
 
 
 def test_a_rigid_segment_is_stiff_against_torsion(tmp_path):

@@ -12,7 +12,7 @@ import pytest
 
 from slider_jax.actuation import SineWave
 from slider_jax.beam.parameters import Numerics
-from slider_jax.beam.spatial import Quaternion, Vec, rate_of, rotation_vector, turned, turning_of
+from slider_jax.beam.spatial import Vec, about_tau, rate_of, rotation_vector, turned, turning_of
 from slider_jax.dynamics.model import SpaceSettings
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.time_schemes import BACKWARD_EULER, SDIRK2
@@ -36,11 +36,6 @@ def spatial(model, GJ=GJ, EI_n=EI_N, J=J, angles=(0.0, 0.0)):
     """Returns the model with the properties that a robot in three dimensions needs."""
     robot = model.robot.with_parts(lambda p: replace(p, GJ=GJ, EI_n=EI_n, polar_inertia=J))
     return arrays(replace(model, robot=robot, space=SpaceSettings(jnp.asarray(angles))))
-
-
-def rolled(angle) -> Quaternion:
-    half = 0.5 * jnp.asarray(angle, float)
-    return Quaternion(jnp.cos(half), jnp.sin(half), 0.0 * half, 0.0 * half)
 
 
 def moving(begin, V=None, omega=None):
@@ -78,7 +73,7 @@ def test_a_planar_run_in_rotated_planes_is_the_planar_programs(support):
         return spatial_rollout(model, times, save, numerics, begin=begin)
 
     for angle in (0.0, 1.0, math.pi / 2):
-        found = run(rolled(angle))
+        found = run(about_tau(jnp.asarray(angle)))
         assert planar.ok and found.ok
         (y, head), (z, place) = planar.saved, found.saved
         for mine, theirs in zip((0, 5, 6, 7), (0, 2, 3, 4), strict=True):
@@ -163,7 +158,7 @@ def test_a_rolled_strip_under_its_weight_hangs_as_the_static_rod():
     effects = (Gravity(12.0, elevation=math.pi / 2),)
     model = spatial(uniform(L=L, EI=EI_B, effects=effects, EA_body=1e6, EA_tail=1e6))
     roll = 0.5
-    begin = at_rest_in_space(model, NUM, 0.0, rolled(roll))
+    begin = at_rest_in_space(model, NUM, 0.0, about_tau(jnp.asarray(roll)))
     found = jax.jit(
         lambda b: spatial_rollout(
             model, TimeGrid(0.02, 500), lambda x: x.positions()[:, 0], NUM, BACKWARD_EULER, begin=b

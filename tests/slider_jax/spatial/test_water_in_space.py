@@ -31,7 +31,7 @@ def random_section(seed: int = 1) -> SpatialSection:
     V_s = Vec(0.0 * one, omega.b, -omega.n).minus(curvature.cross(V))
     structure = SpatialStructure(
         linear_density=one, inertia=Vec(one, one, one), stiffness=Vec(one, one, one),
-        initial_curvature=Vec(one, one, one), EA=one, damping_time=one,
+        EA=one, damping_time=one,
         height=scalar(0.02, 0.06), height_s=scalar(-0.1, 0.1), width=scalar(0.0, 0.02),
         width_s=scalar(-0.1, 0.1), s=one, ds=one, in_tail=one, joint=one,
     )  # fmt: skip
