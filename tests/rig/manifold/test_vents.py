@@ -54,6 +54,15 @@ class WatchedRig:
             self.vented = time.monotonic_ns()
         return sent
 
+    def fail_in_drive(self, faults):
+        """Returns a `watch` of a trial that brings the faults 0.3 s after the drive's start."""
+
+        def fail(phase, t):
+            if phase == "drive" and t > 0.3:
+                self.rig.faults = faults
+
+        return fail
+
     def vent_time(self, patience=5.0):
         """Waits for the vent and returns its time [ns]."""
         end = time.monotonic() + patience
@@ -167,18 +176,19 @@ def test_an_unplugged_manifold_vents_and_the_error_names_the_port(tmp_path):
 
 
 def test_a_manifold_that_resets_ends_the_trial(tmp_path):
-    watched = WatchedRig(LineFaults(reset_at=1.0))
+    watched = WatchedRig()
     with serve_in_thread(watched) as served, pytest.raises(RigError, match="it has reset"):
-        run_trial(served.path, tmp_path)
+        run_trial(served.path, tmp_path, watch=watched.fail_in_drive(LineFaults(reset_at=0.0)))
     assert watched.rig.core.state == ManifoldState.BOOT
 
 
 def test_a_host_without_readings_stops_the_trial(tmp_path):
     """The manifold receives commands, but none of its messages arrive, not even its last Ack."""
-    watched = WatchedRig(LineFaults(silent=(1.0, 1e9)))
+    watched = WatchedRig()
+    silence = watched.fail_in_drive(LineFaults(silent=(0.0, 1e9)))
     with serve_in_thread(watched) as served:
         with pytest.raises(RigError, match="no reading for 0.5 s") as failure:
-            run_trial(served.path, tmp_path)
+            run_trial(served.path, tmp_path, watch=silence)
         assert watched.rig.core.state == ManifoldState.READY
     assert any("did not confirm the stop" in note for note in failure.value.__notes__)
 
