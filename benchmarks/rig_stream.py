@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.chambers import SLIDER
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import open_port
@@ -29,7 +30,7 @@ from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import serve_in_process
 from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming, record_trial
-from rig.trial.waveform import SegmentDrive
+from rig.trial.waveform import ChamberDrive
 
 
 def device() -> SimulatedRig:
@@ -47,13 +48,13 @@ def measure(seconds: float, folder: Path) -> dict[str, float | int | str]:
     """Records a trial of `seconds` and returns the statistics of the stream."""
     path = folder / "stream.h5"
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
-    drive = SegmentDrive("sine", 1.3, 150e3, phase=0.15)
+    drive = ChamberDrive("sine", 1.3, 150e3, phases=(0.0, 0.15))
     with real_time_priority() as priority, serve_in_process(device) as served:
         with Manifold(open_port(served.path), *switches) as manifold:
             cpu, start = _cpu(), time.monotonic()
             captured = record_trial(
                 PlannedTrial("stream", drive, seconds), manifold, switches, {}, path,
-                PressureLimits.of([250e3]), {}, TrialTiming(),
+                PressureLimits.of([250e3], SLIDER.names), {}, TrialTiming(),
             )  # fmt: skip
             cpu, wall = _cpu() - cpu, time.monotonic() - start
             lost, doubled, damaged = manifold.lost, manifold.duplicated, manifold.damaged

@@ -38,7 +38,7 @@ LAYERS = [
     },
     {"calibration.experiment_design", "calibration.free_swimming", "calibration.pressure_logs"},
     {"calibration.identification", "calibration.learning"},
-    {"rig.errors", "rig.files", "rig.scheduling", "rig.protocol"},
+    {"rig.chambers", "rig.errors", "rig.files", "rig.scheduling", "rig.protocol"},
     {"rig.recording"},
     {"rig.camera", "rig.force", "rig.manifold"},
     {"rig.gantry", "rig.simulated", "rig.trial"},

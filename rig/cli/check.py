@@ -7,11 +7,13 @@ from typing import Annotated
 import tyro
 
 from rig.cli.shared import Port, RigFile
-from slider_jax.cli.options import Value
+from slider_jax.cli.options import MaybeExperiment, Value
 from slider_jax.errors import InputError
 
 
 def rig_check(
+    experiment: MaybeExperiment = None,
+    *,
     port: Port,
     rig: RigFile = None,
     pressure: Value = 50e3,
@@ -26,18 +28,19 @@ def rig_check(
     code is 1 if the command finds a problem.
 
     Args:
+        experiment: experiment file of the robot, which names the chambers (default: SLIDER).
         port: serial port of the manifold; `slider rig ports` lists all serial ports.
         rig: TOML file of the rig.
         pressure: set pressure of the test, in Pa.
         out: JSON file for the results. The file's folder is created if missing.
     """
     from rig.cli.settings import load_rig
-    from rig.cli.shared import open_force_sensor, signals_as_ctrl_c
+    from rig.cli.shared import layout_in, open_force_sensor, signals_as_ctrl_c
     from rig.force.sensor import SensorMounting
     from rig.manifold.driver import Manifold
-    from rig.manifold.limits import PressureLimits, checked_pressures
+    from rig.manifold.limits import PressureLimits
     from rig.manifold.serial_port import open_port
-    from rig.protocol.messages import CHANNELS
+    from rig.protocol.messages import channel_names
     from rig.scheduling import real_time_priority
     from rig.trial.health_check import ReadingCollector, check_force, check_manifold
     from slider_jax.io.files import output_folder, write_json
@@ -51,8 +54,9 @@ def rig_check(
             raise InputError(f"--out {out}: is a folder; give a file, such as {out / 'check.json'}")
         output_folder(out.parent)
     settings = load_rig(rig)
-    limits = PressureLimits.of(settings.manifold.limits)
-    checked_pressures((pressure,) * 4, limits)
+    names = layout_in(experiment).names
+    limits = PressureLimits.of(settings.manifold.limits, names)
+    limits.checked([pressure] * len(names))
     forces = None
     if settings.force is not None:
         print("force sensor ...", file=sys.stderr)
@@ -81,7 +85,7 @@ def rig_check(
     if len(trip):
         median = sorted(trip)[len(trip) // 2]
         print(f"answer time to a command: median {median:.1f} ms, maximum {trip.max():.1f} ms")
-    for name, offset, noise in zip(CHANNELS, found.offset, found.noise, strict=True):
+    for name, offset, noise in zip(channel_names(names), found.offset, found.noise, strict=True):
         print(f"{name:<20} at rest {offset:10.1f}, noise {noise:8.2f}")
     for x in found.held:
         print(

@@ -11,6 +11,7 @@ from rig.cli.shared import (
     StatusLine,
     declare_swing,
     install_experiment,
+    layout_in,
     open_rig,
     planned_trial,
     with_force_counts,
@@ -48,7 +49,7 @@ def rig_loop(
             file's trials, widened by a tenth).
         amplitude: lowest and highest set pressure of added trials, in Pa, up to the rig's limits
             (default: the range of the file's trials, widened by a tenth).
-        phase: lowest and highest phase of the rear chamber in added trials, as a fraction of a
+        phase: lowest and highest phase of the last chamber in added trials, as a fraction of a
             period (default: the range of the file's trials, widened by a tenth).
     """
     from calibration.discrepancy.page import loop_page
@@ -77,9 +78,9 @@ def rig_loop(
     allowed["tow_speed"] = (0.0, 0.0)
 
     def within(now: Experiment) -> TrialLimits:
-        # The rear chambers' pressures are `rear_ratio` times the amplitude.
-        rear_ratio = max([1.0, *(abs(t.rear_ratio) for t in now.trials)])
-        highest = min(settings.manifold.limits) / rear_ratio
+        # The pressures of a chamber are its ratio times the amplitude.
+        ratios = [abs(x) for t in now.trials for x in (t.rear_ratio, *(t.ratios or ()))]
+        highest = min(settings.manifold.limits) / max(1.0, *ratios)
         limits = limits_of(now, allowed)
         low, high = limits.amplitude
         return limits._replace(amplitude=(min(low, highest), min(high, highest)))
@@ -93,9 +94,10 @@ def rig_loop(
 
     def capture(trials: tuple[Trial, ...]) -> None:
         # The rig is opened for each round. Between rounds, all chambers vent; the port is closed.
-        with open_rig(port, settings) as machine:
-            planned = [planned_trial(trial, path) for trial in trials]
-            live = StatusLine(machine, len(planned))
+        layout = layout_in(path)
+        with open_rig(port, settings, layout) as machine:
+            planned = [planned_trial(trial, layout, path) for trial in trials]
+            live = StatusLine(machine, len(planned), layout)
             stored = {"rig": settings.model_dump(mode="json")}
             records = run_trials(planned, machine, folder, stored, live)
             live.end()

@@ -32,7 +32,7 @@ class DrivePlayer:
         self._trial = replace(trial, duration=duration)
         self._failure: BaseException | None = None
         analogue = tuple(x.sensor() for x in settings.analogue)
-        self.stream = LiveStream(analogue, settings.force is not None)
+        self.stream = LiveStream(trial.drive.layout, analogue, settings.force is not None)
         self._stop, self._begun = threading.Event(), threading.Event()
         self.lost = 0
         """Number of lost readings of the manifold."""
@@ -78,7 +78,8 @@ class DrivePlayer:
             self._failure = error
 
     def _run(self) -> None:
-        limits = PressureLimits.of(self._settings.manifold.limits)
+        names = self._trial.drive.layout.names
+        limits = PressureLimits.of(self._settings.manifold.limits, names)
         self._trial.check(limits)
         stream = self.stream
         manifold = Manifold(

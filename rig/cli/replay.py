@@ -6,8 +6,9 @@ from typing import Annotated, NamedTuple
 
 import tyro
 
+from rig.chambers import SLIDER, ChamberLayout
 from rig.cli.settings import RigTable
-from rig.cli.shared import RigFile, force_calibration, load_trials, marker_camera
+from rig.cli.shared import RigFile, force_calibration, layout_of, load_trials, marker_camera
 from rig.errors import RigError
 from rig.force.sensor import SensorMounting, force_reader
 from rig.recording.decode import drive_span
@@ -66,15 +67,16 @@ def _convert(folder: Path, out: Path, rig: Path | None) -> int:
     if not paths:
         raise InputError(f"{folder}: has no {RECORDINGS}/*.h5; give a folder of `slider rig run`")
     given = load_rig(rig) if rig is not None else None
-    experiment, durations = folder / "experiment.toml", dict[str, float]()
+    experiment, durations, layout = folder / "experiment.toml", dict[str, float](), SLIDER
     if experiment.exists():
-        durations = {x.name: x.duration for x in load_trials(experiment)[1]}
+        table, trials = load_trials(experiment)
+        durations, layout = {x.name: x.duration for x in trials}, layout_of(table, experiment)
     failed = 0
     with staged(out) as stage:
         for path in paths:
             try:
                 trial = _read_trial(path, durations)
-                columns, missing = _read_columns(trial, given, path)
+                columns, missing = _read_columns(trial, layout, given, path)
             except RigError as error:
                 failed += 1
                 print(f"{path.name}: not converted: {error}", file=sys.stderr)
@@ -118,7 +120,7 @@ def _read_trial(path: Path, durations: dict[str, float]) -> _Trial:
 
 
 def _read_columns(
-    trial: _Trial, given: RigTable | None, path: Path
+    trial: _Trial, layout: ChamberLayout, given: RigTable | None, path: Path
 ) -> tuple[TrialColumns, list[str]]:
     """Returns a trial's columns for the sensors of the rig file `given` (None: recorded sensors).
     Also returns a finding if columns of the original run are missing."""
@@ -141,7 +143,9 @@ def _read_columns(
     if settings.camera is not None and "camera" in trial.recording.streams:
         _, readers["camera"] = marker_camera(settings.camera)
     analogue = tuple(x.sensor() for x in settings.analogue)
-    columns = trial_columns(trial.recording, trial.begun_ns, trial.seconds, readers, analogue)
+    columns = trial_columns(
+        trial.recording, trial.begun_ns, trial.seconds, layout, readers, analogue
+    )
     missing = [name for name in trial.columns if name not in columns.values]
     return columns, [f"no {', '.join(missing)}: the rig file has no such sensor"] if missing else []
 

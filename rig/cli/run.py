@@ -12,6 +12,7 @@ from rig.cli.shared import (
     StatusLine,
     declare_swing,
     install_experiment,
+    layout_of,
     load_trials,
     open_rig,
     warn_of_moving_clamp,
@@ -47,8 +48,8 @@ def rig_run(
         port: serial port of the manifold; `slider rig ports` lists all serial ports.
         out: folder for the measured experiment; created if missing.
         rig: TOML file of the rig: limits, command rate, pauses and sensors.
-        limit: highest set pressure, in Pa: one value for all chambers, or four values (default: the
-            limits of the rig file, or 250e3).
+        limit: highest set pressure, in Pa: one value for all chambers, or one value for each
+            chamber (default: the limits of the rig file, or 250e3).
         force: host name or address of an ATI Net F/T box (default: the host in the rig file).
     """
     from rig.cli.settings import load_rig
@@ -59,9 +60,10 @@ def rig_run(
     if out.resolve() == experiment.resolve().parent:
         raise InputError(f"--out {out}: is the experiment's own folder; give another folder")
     table, trials = load_trials(experiment)
+    layout = layout_of(table, experiment)
     changes: dict[str, dict[str, Any]] = {}
     if limit is not None:
-        PressureLimits.of(limit, "--limit")
+        PressureLimits.of(limit, layout.names, "--limit")
         changes["manifold"] = {"limits": list(limit)}
     if force is not None:
         changes["force"] = {"host": force}
@@ -71,7 +73,7 @@ def rig_run(
     settings = with_force_counts(settings)
     source = input_file(experiment)
     recorded = {"experiment_sha256": source["sha256"], "rig": settings.model_dump(mode="json")}
-    with open_rig(port, settings) as machine:
+    with open_rig(port, settings, layout) as machine:
         if not machine.readers and not machine.analogue:
             print("only pressures are measured; --rig can add other sensors", file=sys.stderr)
         ident = machine.manifold.ident
@@ -90,7 +92,7 @@ def rig_run(
         for planned in trials:
             finished_record(folder, planned, recorded)
         install_experiment(experiment, folder)
-        live = StatusLine(machine, len(trials))
+        live = StatusLine(machine, len(trials), layout)
         try:
             records = run_trials(trials, machine, folder, recorded, live)
         except KeyboardInterrupt as stopped:

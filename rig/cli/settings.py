@@ -17,23 +17,18 @@ Axis = Literal["+Fx", "-Fx", "+Fy", "-Fy", "+Fz", "-Fz"]
 
 
 class ManifoldTable(Table):
-    """[manifold]: highest set pressures (one or four values), command rate, durations of pauses."""
+    """[manifold]: highest set pressures, command rate, durations of pauses.
 
-    limits: Annotated[
-        tuple[Pressure, ...], FROM_LIST, FROM_NUMBER, Field(min_length=1, max_length=4)
-    ] = (250e3,)
+    `limits` are one value for all chambers, or one value for each chamber.
+    """
+
+    limits: Annotated[tuple[Pressure, ...], FROM_LIST, FROM_NUMBER, Field(min_length=1)] = (250e3,)
     commands_per_second: Annotated[float, Quantity(50.0, 1000.0, "Hz")] = 200.0
     quiet: Annotated[float, Quantity(0.2, 60.0, "s")] = 1.0
     fade: Annotated[float, Quantity(0.0, 60.0, "s")] = 2.0
     after: Annotated[float, Quantity(0.1, 60.0, "s")] = 0.3
     pause: Annotated[float, Quantity(0.0, 3600.0, "s")] = 2.0
     longest_pause: Annotated[float, Quantity(0.0, 3600.0, "s")] = 60.0
-
-    @model_validator(mode="after")
-    def _one_or_four(self) -> "ManifoldTable":
-        if len(self.limits) not in (1, 4):
-            fail("limits", f"{len(self.limits)} pressures", "one for all chambers, or four")
-        return self
 
 
 class ForceTable(Table):

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import tomlkit
 import tyro
 
+from rig.chambers import SLIDER, ChamberLayout, PneumaticActuator
 from rig.cli.settings import CameraTable, ForceTable, RigTable
 from rig.force.ati_net import NetCalibration, NetForce
 from rig.force.sensor import ForceSource, SensorMounting, force_reader
@@ -28,7 +30,7 @@ from rig.trial.capture import (
     TrialTiming,
 )
 from rig.trial.session import Rig, start_swing
-from rig.trial.waveform import SegmentDrive
+from rig.trial.waveform import ChamberDrive
 from slider_jax.errors import InputError
 from slider_jax.experiment.schema import ExperimentTable, Trial as TrialTable
 from slider_jax.io.csv import read_csv
@@ -39,8 +41,6 @@ Port = Annotated[str, tyro.conf.arg(metavar="PORT")]
 RigFile = Annotated[
     Path | None, tyro.conf.arg(metavar="RIG.toml", help_behavior_hint="(default: none)")
 ]
-MANIFOLD_CHAMBERS = ("front", "rear")
-"""Names of the chambers of the rig's manifold; each is a pair of a left and a right chamber."""
 LEAST_SWING = 1e-4
 """Smallest standard deviation of the tip at rest [m] that is written to the experiment file."""
 
@@ -62,14 +62,28 @@ def load_trials(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
     Raises `InputError` if the file is invalid.
     """
     experiment = validate(ExperimentTable, read_toml(path), str(path))
-    if experiment.chamber_names != MANIFOLD_CHAMBERS:
-        given = ", ".join(experiment.chamber_names) or "no chambers"
-        raise InputError.value(
-            f"{path}: the robot's chambers",
-            given,
-            f"{', '.join(MANIFOLD_CHAMBERS)}, the manifold's chambers",
-        )
-    return experiment, [planned_trial(x, path) for x in experiment.trials]
+    layout = layout_of(experiment, path)
+    return experiment, [planned_trial(x, layout, path) for x in experiment.trials]
+
+
+def layout_in(path: Path | None) -> ChamberLayout:
+    """Returns the chambers of an experiment file's robot; SLIDER's if `path` is None."""
+    if path is None:
+        return SLIDER
+    return layout_of(validate(ExperimentTable, read_toml(path), str(path)), path)
+
+
+def layout_of(experiment: ExperimentTable, path: Path) -> ChamberLayout:
+    """Returns the chambers of an experiment's robot. Raises `InputError` if there are none."""
+    columns = {x.actuator: x.columns[0] for x in experiment.sensors.channels if x.actuator}
+    found = tuple(
+        PneumaticActuator(x.name, x.side, x.limit or inf, columns.get(x.name, ""))
+        for x in experiment.chambers
+    )
+    if not found:
+        allowed = "one or more pneumatic actuators, which the rig drives"
+        raise InputError.value(f"{path}: the robot's chambers", "none", allowed)
+    return ChamberLayout(found)
 
 
 def copy_experiment(path: Path, folder: Path) -> None:
@@ -121,35 +135,30 @@ def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
     print(f"{path}: start_swing is {swing:.2g} m, as measured before the trials", file=sys.stderr)
 
 
-def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
-    """Returns a trial as the rig plays it.
+def planned_trial(trial: TrialTable, layout: ChamberLayout, path: Path) -> PlannedTrial:
+    """Returns a trial of the file `path` as the rig plays it.
 
-    Raises `InputError` for a "measured" drive, and for own ratios, phases or biases of chambers.
+    Raises `InputError` for a "measured" drive.
     """
     name = Path(trial.file).stem
-    for key in ("ratios", "phases", "biases"):
-        if getattr(trial, key) is not None:
-            raise InputError(
-                f"{path}: trial {trial.file}: {key}: not available on the rig; use rear_ratio and "
-                "phase, or a recorded drive"
-            )
     if trial.waveform != "recorded":
-        return PlannedTrial(
-            name,
-            SegmentDrive(
-                trial.waveform, trial.frequency or 0.0, trial.amplitude or 0.0, trial.rear_ratio,
-                trial.phase, trial.rise,
-            ),
-            trial.duration,
+        rear = np.linspace(0.0, 1.0, len(layout.actuators))
+        ratios = trial.ratios or (1.0 - rear + rear * trial.rear_ratio).tolist()
+        phases = trial.phases or (rear * trial.phase).tolist()
+        drive = ChamberDrive(
+            trial.waveform, trial.frequency or 0.0, trial.amplitude or 0.0, tuple(ratios),
+            tuple(phases), trial.biases or (), trial.rise, layout=layout,
         )  # fmt: skip
+        return PlannedTrial(name, drive, trial.duration)
     if trial.drive_is == "measured":
         raise InputError(
             f'{path}: trial {trial.file}: drive_is = "measured"; allowed "set", because the rig '
             "cannot follow measured pressures"
         )
-    columns = read_csv(path.parent / str(trial.drive_file), ("t_s", "p_front_Pa", "p_rear_Pa"))
-    recorded = np.stack([columns["p_front_Pa"], columns["p_rear_Pa"]], axis=1)
-    drive = SegmentDrive("recorded", times=columns["t_s"], recorded=recorded)
+    names = [f"p_{x.name}_Pa" for x in layout.actuators]
+    columns = read_csv(path.parent / str(trial.drive_file), ("t_s", *names))
+    recorded = np.stack([columns[name] for name in names], axis=1)
+    drive = ChamberDrive("recorded", times=columns["t_s"], recorded=recorded, layout=layout)
     return PlannedTrial(name, drive, trial.duration)
 
 
@@ -200,7 +209,7 @@ def marker_camera(table: CameraTable) -> tuple[RecordedInstrument, StreamReader]
 
 
 @contextmanager
-def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
+def open_rig(port: str, table: RigTable, layout: ChamberLayout) -> Iterator[Rig]:
     """Opens the rig that a table describes. All chambers vent when the block ends or fails.
 
     SIGTERM and SIGHUP end the block like Ctrl-C.
@@ -208,6 +217,7 @@ def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
     from rig.manifold.serial_port import open_port
 
     settings = table.manifold
+    limits = PressureLimits.of(settings.limits, layout.names)
     sinks = ManifoldSinks(SwitchableSink(), SwitchableSink())
     with ExitStack() as stack:
         stack.enter_context(signals_as_ctrl_c())
@@ -228,8 +238,7 @@ def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
             settings.quiet, settings.after, settings.commands_per_second, settings.fade
         )
         yield Rig(
-            manifold, sinks, PressureLimits.of(settings.limits), instruments, readers, force,
-            analogue,
+            manifold, sinks, limits, instruments, readers, force, analogue,
             timing, settings.pause, settings.longest_pause,
         )  # fmt: skip
 
@@ -262,7 +271,8 @@ def print_status(line: str) -> None:
 class StatusLine:
     """Prints a run's progress: on a terminal in a single line, otherwise as a line every 2 s."""
 
-    def __init__(self, rig: Rig, total: int):
+    def __init__(self, rig: Rig, total: int, layout: ChamberLayout):
+        self._layout = layout
         self._rig, self._total, self._next = rig, total, 0.0
         self._count, self._name = 0, ""
 
@@ -277,8 +287,9 @@ class StatusLine:
         manifold = self._rig.manifold
         line = f"{trial} ({self._count} of {self._total}), {phase} {t:5.1f} s"
         if manifold.latest is not None:
-            p = [1e-3 * x for x in manifold.latest.channels[:4]]
-            line += f"  front {p[0] - p[1]:6.1f} rear {p[2] - p[3]:6.1f} kPa"
+            signed = self._layout.signed(manifold.latest.channels)
+            named = zip(self._layout.actuators, signed, strict=True)
+            line += f"  {' '.join(f'{x.name} {1e-3 * p:6.1f}' for x, p in named)} kPa"
         force = self._rig.force
         if force is not None:
             found = force.latest()

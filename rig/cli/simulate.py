@@ -65,6 +65,7 @@ def rig_simulate(
     """
     from rig.scheduling import real_time_priority, share_priority_with_all_threads
     from rig.simulated.bench import serve_rig
+    from rig.simulated.manifold import HARD_LIMIT, ManifoldCore
     from rig.simulated.rig import LineFaults, SimulatedRig
     from slider_jax.io.files import write_text
 
@@ -89,7 +90,9 @@ def rig_simulate(
         return
     _refuse_other(rig_file)
     faults = sorted((_fault(text) for text in inject), key=lambda fault: fault[2])
-    tank, inject_fault = _tank(experiment, model, effects, [name for name, _, _ in faults])
+    tank, inject_fault, chambers = _tank(
+        experiment, model, effects, [name for name, _, _ in faults]
+    )
 
     def at(seconds: float) -> None:
         while faults and seconds >= faults[0][2]:
@@ -103,7 +106,9 @@ def rig_simulate(
     line_faults = LineFaults(
         flipped=flipped, dropped=dropped, noise=noise, tip_noise=tip_noise, seed=seed
     )
-    simulated = SimulatedRig(tank, faults=line_faults)
+    simulated = SimulatedRig(
+        tank, faults=line_faults, new_core=lambda: ManifoldCore((HARD_LIMIT,) * chambers)
+    )
     with real_time_priority(), serve_rig(simulated, force_noise, at, seed) as rig:
         share_priority_with_all_threads()
         if rig_file.exists():
@@ -163,9 +168,10 @@ class RobotTank:
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
         """Implements `Tank.advance`."""
-        found = self._plant.advance(set_pressures or [None] * 4, seconds)
-        a, b, c, d = (float(p) for p in found.pressures)
-        return TankState((a, b, c, d), SUPPLY_PRESSURE, found.thrust_N, found.recoil_N, found.tip_m)
+        vented = [None] * len(self._plant.chambers)
+        found = self._plant.advance(set_pressures or vented, seconds)
+        forces = found.thrust_N, found.recoil_N
+        return TankState(found.pressures, SUPPLY_PRESSURE, *forces, found.tip_m)
 
 
 def _fault(text: str) -> tuple[str, float, float]:
@@ -186,8 +192,9 @@ def _fault(text: str) -> tuple[str, float, float]:
 def _tank(
     experiment: Path | None, model: Path | None, effects: tuple[Path, ...], faults: list[str]
 ):
-    """Returns the simulated tank and its function `inject(name, value)` for the named `faults`."""
-    from rig.protocol.messages import CHAMBERS
+    """Returns the simulated tank, its function `inject(name, value)` for the named `faults`, and
+    the number of its chambers."""
+    from rig.chambers import SLIDER
     from rig.simulated.tank import BenchTank
 
     if experiment is not None:
@@ -212,8 +219,8 @@ def _tank(
         print("compiling the simulated robot ...", file=sys.stderr, flush=True)
         plant = Plant(loaded, step=PLANT_STEP)
         for name in faults:
-            with_fault(plant.faults, name, 0.1)
-        return RobotTank(plant), plant.inject
+            with_fault(plant.faults, plant.chambers, name, 0.1)
+        return RobotTank(plant), plant.inject, len(plant.chambers)
     if model is not None:
         raise InputError(f"--model {model}: needs an experiment file; give a file, or omit --model")
     if effects:
@@ -221,7 +228,7 @@ def _tank(
             f"--effects {effects[0]}: needs an experiment file; give a file, or omit --effects"
         )
     bench = BenchTank()
-    allowed = {f"leak_{chamber}": i for i, chamber in enumerate(CHAMBERS)}
+    allowed = {f"leak_{chamber}": i for i, chamber in enumerate(SLIDER.names)}
     for name in faults:
         if name not in allowed:
             raise InputError.value(
@@ -231,4 +238,4 @@ def _tank(
     def leak(name: str, value: float) -> None:
         bench.leak[allowed[name]] = value
 
-    return bench, leak
+    return bench, leak, len(bench.leak)

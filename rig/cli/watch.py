@@ -16,6 +16,7 @@ from rig.cli.settings import load_rig
 from rig.cli.shared import (
     Port,
     RigFile,
+    layout_of,
     planned_trial,
     print_status,
     signals_as_ctrl_c,
@@ -24,8 +25,8 @@ from rig.cli.shared import (
 )
 from rig.recording.table import format_value
 from rig.scheduling import raise_priority
-from rig.trial.live_stream import CHANNELS_OUT, LiveReadings
-from slider_jax.channels import SLIDER_CHANNELS
+from rig.trial.live_stream import LiveReadings
+from slider_jax.channels import Channel
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
@@ -33,13 +34,10 @@ from slider_jax.io.files import input_file, provenance, staged, write_csv, write
 
 POLL_INTERVAL = 0.01
 """Time between queries of the live stream [s]."""
-STATUS_CHANNELS = (
-    (0, "front", 1e-3, "5.1f", "kPa"),
-    (1, "rear", 1e-3, "5.1f", "kPa"),
-    (2, "thrust", 1.0, "6.3f", "N"),
-    (4, "tip", 1e3, "5.1f", "mm"),
-)
-"""Channels of the status line: index, name; factor, format and unit of the mean absolute value."""
+STATUS_UNITS = {"Pa": (1e-3, "5.1f", "kPa"), "N": (1.0, "6.3f", "N"), "m": (1e3, "5.1f", "mm")}
+"""Factor, format and unit of the values in the status line, by the unit of the channel."""
+NOT_SHOWN = ("recoil",)
+"""Channels that the status line omits."""
 LINE_INTERVAL = 2.0
 """Time between status lines if stderr is not a terminal [s]."""
 
@@ -79,7 +77,7 @@ def rig_watch(
     settings = with_force_counts(load_rig(rig))
     if settings.camera is not None:
         print("the camera is not used: it yields the tip only after a trial", file=sys.stderr)
-    played = planned_trial(chosen, experiment)
+    played = planned_trial(chosen, layout_of(loaded, experiment), experiment)
     duration = played.duration if seconds is None else seconds
     if not duration > 0.0:
         raise InputError.value("--seconds", f"{duration:g}", "more than 0")
@@ -92,8 +90,8 @@ def rig_watch(
             f"possible; give --seconds {4.0 * twin.judges_after:.0f} or more",
             file=sys.stderr,
         )
-    log = WatchLog()
     playing = DrivePlayer(port, settings, played, duration)
+    log = WatchLog(loaded.channels.members[: len(playing.stream.columns)])
     try:
         with signals_as_ctrl_c(), playing:
             while not playing.ended:
@@ -123,6 +121,8 @@ def rig_watch(
 class WatchLog:
     """Prints and stores the twin's blocks of readings. Times [s] count from the first reading."""
 
+    channels: tuple[Channel, ...]
+    """The channels of the readings, in their order."""
     rows: list[dict[str, float]] = field(default_factory=list)
     alarms: list[dict[str, Any]] = field(default_factory=list)
     begun: float = np.nan
@@ -141,7 +141,7 @@ class WatchLog:
         if not self.rows:
             self.begun = float(block.t[0])
         lag = 1e-9 * (time.monotonic_ns() - arrived_ns)
-        self.rows.append(_row(block, self.begun, lag))
+        self.rows.append(_row(block, self.channels, self.begun, lag))
         self.judged = block.watching
         new, self._on = block.alarm.on and not self._on, block.alarm.on
         if new:
@@ -150,7 +150,7 @@ class WatchLog:
         now = time.monotonic()
         if new or now > self._printed + (0.2 if sys.stderr.isatty() else LINE_INTERVAL):
             self._printed = now
-            _print_line(block, self.rows[-1], lost, new)
+            _print_line(block, self.channels, self.rows[-1], lost, new)
 
     def add_misfits(self, misfits: dict[str, tuple[float, float]]) -> None:
         """Stores and prints, once, the misfits from the time in which the bands were learned."""
@@ -159,9 +159,9 @@ class WatchLog:
             print(f"\n{self._misfit_text()}", file=sys.stderr, flush=True)
 
     def _misfit_text(self) -> str:
-        names = dict(zip(SLIDER_CHANNELS, CHANNELS_OUT, strict=True))
+        columns = {x.name: x.column for x in self.channels}
         found = ", ".join(
-            f"{name} {format_value(names[name], rms)}, {100.0 * share:.0f} % of the modelled rms"
+            f"{name} {format_value(columns[name], rms)}, {100.0 * share:.0f} % of the modelled rms"
             for name, (rms, share) in self.misfits.items()
         )
         return (
@@ -201,13 +201,15 @@ def _arrived(block: TwinBlock, live: LiveReadings) -> int:
     return int(live.arrived_ns[min(complete, len(live.arrived_ns) - 1)])
 
 
-def _row(block: TwinBlock, begun: float, lag: float) -> dict[str, float]:
+def _row(
+    block: TwinBlock, channels: tuple[Channel, ...], begun: float, lag: float
+) -> dict[str, float]:
     valid = np.isfinite(block.residual)
     squares = np.where(valid, block.residual, 0.0) ** 2
     rms = np.sqrt(squares.sum(axis=1) / np.maximum(valid.sum(axis=1), 1))
     return {
         "t_s": float(block.t[-1]) - begun,
-        **{f"residual_{name}": float(x) for name, x in zip(CHANNELS_OUT, rms, strict=True)},
+        **{f"residual_{x.column}": float(y) for x, y in zip(channels, rms, strict=True)},
         "k_s": block.k.value,
         "k_deviation_s": block.k.deviation,
         "K_Q_m3": block.K_Q.value,
@@ -218,17 +220,22 @@ def _row(block: TwinBlock, begun: float, lag: float) -> dict[str, float]:
     }
 
 
-def _print_line(block: TwinBlock, row: dict[str, float], lost: int, new: bool) -> None:
+def _print_line(
+    block: TwinBlock, channels: tuple[Channel, ...], row: dict[str, float], lost: int, new: bool
+) -> None:
     valid = np.isfinite(block.measured)
     count = np.maximum(valid.sum(axis=1), 1)
     model, measured = (
         np.where(valid, np.abs(x), 0.0).sum(axis=1) / count for x in (block.model, block.measured)
     )
-    shown = [
-        f"{name} {factor * measured[i]:{form}} (model {factor * model[i]:{form}}) {unit}"
-        for i, name, factor, form, unit in STATUS_CHANNELS
-        if valid[i].any()
-    ]
+    shown = []
+    for i, x in enumerate(channels):
+        if valid[i].any() and x.name not in NOT_SHOWN:
+            factor, form, unit = STATUS_UNITS[x.unit]
+            shown.append(
+                f"{x.name.removeprefix('p_')} {factor * measured[i]:{form}} "
+                f"(model {factor * model[i]:{form}}) {unit}"
+            )
     state = "ALARM, " if block.alarm.on else "" if block.watching else "learning the bands, "
     line = (
         f"{row['t_s']:6.1f} s  {state}{', '.join(shown)}, k {block.k.value:.4f} s, "

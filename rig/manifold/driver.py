@@ -9,7 +9,7 @@ import serial
 
 from rig.errors import RigError
 from rig.manifold.connection import VENTS, Connection
-from rig.manifold.limits import PressureLimits, checked_pressures
+from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import PortLost
 from rig.protocol import messages as wire
 from rig.recording.clock import Sink
@@ -46,7 +46,7 @@ class Manifold:
         self.latest: wire.Reading | None = None
         self.lost = self.duplicated = 0
         """Numbers of missing readings and of repeated readings, from the sequence numbers."""
-        self.limits = PressureLimits(0.0, 0.0, 0.0, 0.0)
+        self.limits = PressureLimits((), ())
         self._line = Connection(port, self._take, self._notify, sink, sent)
         self._on_reading, self._on_follows = on_reading, on_follows
         self._changed, self._writing, self._seq = threading.Condition(), threading.Lock(), 0
@@ -117,13 +117,16 @@ class Manifold:
             )
 
     def configure(self, limits: PressureLimits) -> None:
-        """Sends the limits. The manifold then vents and changes to the state READY."""
+        """Sends the limits. The manifold then vents and changes to the state READY.
+
+        Raises `RigError` if the manifold has another number of chambers.
+        """
         assert self.ident is not None
         self.limits = limits.within(self.ident)
         # The new limits clear an earlier fault, such as a reset.
         self._own_vent = None
         self._armed = False
-        self._request(lambda seq: wire.SetLimits(seq, *(int(p) for p in limits)))
+        self._request(lambda seq: wire.SetLimits(seq, tuple(int(p) for p in limits.pressures)))
 
     def arm(self) -> None:
         """Arms the manifold: the valves follow set pressures, and the watchdog is active."""
@@ -131,10 +134,13 @@ class Manifold:
         self._armed, self._last_reading = True, time.monotonic()
 
     def set(self, pressures: Sequence[float]) -> int:
-        """Sends gauge pressures (4,) [Pa] and returns the command's number. Raises `RigError`."""
+        """Sends gauge pressures (chambers,) [Pa] and returns the command's number.
+
+        Raises `RigError` for a pressure outside its limits, and the errors of `check`.
+        """
         self.check()
-        values = checked_pressures(pressures, self.limits)
-        return self._send(lambda seq: wire.SetPressures(seq, *values))
+        values = self.limits.checked(pressures)
+        return self._send(lambda seq: wire.SetPressures(seq, values))
 
     def heartbeat(self) -> None:
         """Sends a heartbeat, which keeps the watchdog from venting."""
@@ -147,19 +153,18 @@ class Manifold:
         self._request(wire.Stop)
 
     def upload(self, samples: Sequence[Sequence[float]], period: float) -> None:
-        """Sends a waveform of set pressures (n, 4) [Pa] at intervals of `period` [s]."""
+        """Sends a waveform of set pressures (n, chambers) [Pa] at intervals of `period` [s]."""
         assert self.ident is not None
         if not 2 <= len(samples) <= self.ident.samples:
             allowed = f"2 to {self.ident.samples}, the manifold's memory"
             raise RigError.value("waveform", f"{len(samples)} samples", allowed)
         if not 500e-6 <= period <= 1.0:
             raise RigError.value("waveform's period", f"{period:g} s", "0.0005 to 1 s")
-        values = [checked_pressures(sample, self.limits) for sample in samples]
+        values = [self.limits.checked(sample) for sample in samples]
         self._request(lambda seq: wire.WaveBegin(seq, len(values), round(period * 1e6)))
-        for first in range(0, len(values), wire.MAX_SAMPLES_PER_PIECE):
-            flat = tuple(
-                p for row in values[first : first + wire.MAX_SAMPLES_PER_PIECE] for p in row
-            )
+        count = wire.samples_per_piece(len(self.limits.chambers))
+        for first in range(0, len(values), count):
+            flat = tuple(p for row in values[first : first + count] for p in row)
             self._request(partial(_wave_piece, first, flat))
 
     def play(self, repeats: int = 1) -> None:
@@ -258,7 +263,8 @@ class Manifold:
                     self.ident = message
                     self._changed.notify_all()
             case wire.Event() if message.cause in _VENT_REASONS:
-                chamber = wire.CHAMBERS[message.detail] if 0 <= message.detail < 4 else "a chamber"
+                known = dict(enumerate(self.limits.chambers))
+                chamber = known.get(message.detail, "a chamber")
                 self._set_own_vent(
                     _VENT_REASONS[wire.Cause(message.cause)].format(
                         detail=message.detail, chamber=chamber

@@ -1,37 +1,40 @@
 """Limits of the chambers' set pressures. Every set pressure is checked here before it is sent."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import isfinite
-from typing import NamedTuple
 
 from rig.errors import RigError
-from rig.protocol.messages import CHAMBERS, Ident
+from rig.protocol.messages import Ident
 
 LARGEST_LIMIT = 2_000_000.0
 """Highest gauge pressure that is allowed as a limit [Pa]. A higher value may have a wrong unit."""
 
 
-class PressureLimits(NamedTuple):
+@dataclass(frozen=True)
+class PressureLimits:
     """Highest allowed set pressure of each chamber, a gauge pressure [Pa]."""
 
-    front_left: float
-    front_right: float
-    rear_left: float
-    rear_right: float
+    chambers: tuple[str, ...]
+    """Names of the chambers, in the order of the manifold."""
+    pressures: tuple[float, ...]
 
     @classmethod
-    def of(cls, pressures: Sequence[float], where: str = "limits") -> "PressureLimits":
-        """Returns the limits from one pressure for all chambers, or from four pressures [Pa].
+    def of(
+        cls, pressures: Sequence[float], chambers: Sequence[str], where: str = "limits"
+    ) -> "PressureLimits":
+        """Returns the limits from one pressure for all chambers, or from one for each chamber [Pa].
 
         Raises `RigError` for a wrong number or value of pressures. Its message starts with `where`.
         """
-        if len(pressures) not in (1, 4):
+        names, count = tuple(chambers), len(chambers)
+        if len(pressures) not in (1, count):
             raise RigError.value(
-                where, f"{len(pressures)} pressures", "one for all chambers, or four",
-                f"their order is {', '.join(CHAMBERS)}",
+                where, f"{len(pressures)} pressures", f"one for all chambers, or {count}",
+                f"their order is {', '.join(names)}",
             )  # fmt: skip
-        limits = cls(*(list(pressures) * 4)[:4])
-        for name, limit in zip(CHAMBERS, limits, strict=True):
+        given = tuple(pressures) * (count if len(pressures) == 1 else 1)
+        for name, limit in zip(names, given, strict=True):
             if not 1e3 <= limit <= LARGEST_LIMIT:
                 raise RigError.value(
                     f"{where}, {name}",
@@ -39,12 +42,22 @@ class PressureLimits(NamedTuple):
                     f"1e3 to {LARGEST_LIMIT:g} Pa",
                     "not kPa or psi",
                 )
-        return limits
+        return cls(names, given)
 
     def within(self, ident: Ident) -> "PressureLimits":
-        """Returns these limits. Raises `RigError` if a limit exceeds the manifold's hard limit."""
-        for name, limit in zip(CHAMBERS, self, strict=True):
-            hard = getattr(ident, name)
+        """Returns these limits.
+
+        Raises `RigError` if the manifold has another number of chambers than the robot, or if a
+        limit exceeds the manifold's hard limit.
+        """
+        given, there = len(self.chambers), len(ident.limits)
+        if given != there:
+            raise RigError(
+                f"chambers: the robot has {given} ({', '.join(self.chambers)}), but the manifold "
+                f"has {there}; give the experiment file of the robot that is connected, or connect "
+                "the robot's own manifold"
+            )
+        for name, limit, hard in zip(self.chambers, self.pressures, ident.limits, strict=True):
             if limit > hard:
                 raise RigError.value(
                     f"limit of {name}", f"{limit:g} Pa",
@@ -52,22 +65,18 @@ class PressureLimits(NamedTuple):
                 )  # fmt: skip
         return self
 
+    def checked(self, pressures: Sequence[float]) -> tuple[int, ...]:
+        """Returns the chambers' set gauge pressures in whole pascals, for the protocol's messages.
 
-def checked_pressures(
-    pressures: Sequence[float], limits: PressureLimits
-) -> tuple[int, int, int, int]:
-    """Returns the set gauge pressures (4,) in whole pascals, for the protocol's messages.
-
-    Raises `RigError` for a pressure below 0 or above its limit. Clipping would change the gait.
-    """
-    if len(pressures) != len(CHAMBERS):
-        raise RigError.value(
-            "set pressures", f"{len(pressures)}", f"{len(CHAMBERS)}: {', '.join(CHAMBERS)}"
-        )
-    for name, pressure, limit in zip(CHAMBERS, pressures, limits, strict=True):
-        if not isfinite(pressure) or not 0.0 <= pressure <= limit:
+        Raises `RigError` for a pressure below 0 or above its limit. Clipping would change the gait.
+        """
+        if len(pressures) != len(self.chambers):
             raise RigError.value(
-                f"set pressure of {name}", f"{pressure:g} Pa", f"0 to its limit, {limit:g} Pa"
+                "set pressures", len(pressures), f"{len(self.chambers)}: {', '.join(self.chambers)}"
             )
-    a, b, c, d = (int(p) for p in pressures)
-    return a, b, c, d
+        for name, pressure, limit in zip(self.chambers, pressures, self.pressures, strict=True):
+            if not isfinite(pressure) or not 0.0 <= pressure <= limit:
+                raise RigError.value(
+                    f"set pressure of {name}", f"{pressure:g} Pa", f"0 to its limit, {limit:g} Pa"
+                )
+        return tuple(int(p) for p in pressures)

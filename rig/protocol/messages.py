@@ -1,26 +1,30 @@
 """Messages between host and manifold (protocol 1), and their frames on the serial line.
 
 A message is a type byte and its fields, little endian (table in docs/reference/rig_protocol.md).
-Pressures are gauge pressures in whole pascals, because an integer cannot be NaN. A frame is a
-message and its CRC-32, encoded by COBS and followed by a zero byte. zlib and Ethernet use the same
-CRC. A CRC of only two bytes would accept about 15 of a million damaged frames.
+Pressures are gauge pressures in whole pascals, because an integer cannot be NaN. The length of a
+message gives the number of chambers. A frame is a message and its CRC-32, encoded by COBS and
+followed by a zero byte. zlib and Ethernet use the same CRC. A CRC of only two bytes would accept
+about 15 of a million damaged frames.
 """
 
 import struct
+from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zlib import crc32
 
 from cobs import cobs
 
 PROTOCOL = 1
-CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
-CHANNELS = (*(f"p_{name}_Pa" for name in CHAMBERS), "p_supply_Pa", "in_1_uV", "in_2_uV", "in_3_uV")
-"""Channels of a reading: gauge pressures [Pa], then three analogue inputs [uV]."""
+OTHER_CHANNELS = ("p_supply_Pa", "in_1_uV", "in_2_uV", "in_3_uV")
+"""Channels of a reading after the chambers' gauge pressures: gauge pressure of the supply [Pa], and
+three analogue inputs [uV]."""
 WATCHDOG = 0.1
 """The manifold vents if it receives no valid command for this time [s]."""
 MAX_SAMPLES_PER_PIECE = 8
-"""Largest number of waveform samples in one `WavePiece` message."""
+"""Largest number of waveform samples in one `WavePiece` message (see `samples_per_piece`)."""
+LONGEST_FRAME = 192
+"""Largest number of bytes between two zero bytes. A longer sequence counts as a damaged frame."""
 
 
 class ManifoldState(IntEnum):
@@ -45,9 +49,9 @@ class Answer(IntEnum):
     """Reserved for later protocols. The manifold ignores unknown types and wrong lengths."""
     WRONG_STATE = 2
     ABOVE_LIMIT = 3
-    """A pressure exceeds the chamber's limit; `detail` is the chamber's index in `CHAMBERS`."""
+    """A pressure exceeds the chamber's limit; `detail` is the chamber's index."""
     BELOW_ZERO = 4
-    """A gauge pressure is below 0; `detail` is the chamber's index in `CHAMBERS`."""
+    """A gauge pressure is below 0; `detail` is the chamber's index."""
     WRONG_PLACE = 5
     """Samples are outside the waveform, or the waveform is incomplete or has a wrong size."""
 
@@ -78,10 +82,7 @@ class SetLimits(NamedTuple):
     """Sets each chamber's highest set pressure [Pa], clears a fault, and vents. Answer: `Ack`."""
 
     seq: int
-    front_left: int
-    front_right: int
-    rear_left: int
-    rear_right: int
+    limits: tuple[int, ...]
 
 
 class Arm(NamedTuple):
@@ -94,10 +95,7 @@ class SetPressures(NamedTuple):
     """Sets the set pressures [Pa]. Answer: `Ack`, but only if the manifold refuses the command."""
 
     seq: int
-    front_left: int
-    front_right: int
-    rear_left: int
-    rear_right: int
+    pressures: tuple[int, ...]
 
 
 class Heartbeat(NamedTuple):
@@ -121,7 +119,10 @@ class WaveBegin(NamedTuple):
 
 
 class WavePiece(NamedTuple):
-    """Uploads samples of 4 pressures [Pa]. `first` is the first sample's index. Answer: `Ack`."""
+    """Uploads samples of all chambers' pressures [Pa], one sample after the other.
+
+    `first` is the first sample's index. Answer: `Ack`.
+    """
 
     seq: int
     first: int
@@ -136,7 +137,10 @@ class WavePlay(NamedTuple):
 
 
 class Ident(NamedTuple):
-    """Firmware version and hard limits [Pa] of the manifold. No command can raise these limits."""
+    """Firmware version and hard limits [Pa] of the manifold. No command can raise these limits.
+
+    The number of limits is the number of the manifold's chambers.
+    """
 
     protocol: int
     major: int
@@ -146,10 +150,7 @@ class Ident(NamedTuple):
     """Largest number of samples in a waveform."""
     rate: int
     """Rate of the readings [1/s]."""
-    front_left: int
-    front_right: int
-    rear_left: int
-    rear_right: int
+    limits: tuple[int, ...]
 
 
 class Reading(NamedTuple):
@@ -161,7 +162,12 @@ class Reading(NamedTuple):
     command: int
     """Field `seq` of the last accepted `SetPressures`."""
     channels: tuple[int, ...]
-    """(8,) values in the order of `CHANNELS`."""
+    """Gauge pressures [Pa] of the chambers, then the values of `OTHER_CHANNELS`."""
+
+    @property
+    def pressures(self) -> tuple[int, ...]:
+        """Gauge pressures [Pa] of the chambers."""
+        return self.channels[: -len(OTHER_CHANNELS)]
 
 
 class Ack(NamedTuple):
@@ -191,10 +197,7 @@ class Follows(NamedTuple):
     number: int
     """Index of the change; a gap in these indices shows that messages were lost."""
     device_us: int
-    front_left: int
-    front_right: int
-    rear_left: int
-    rear_right: int
+    pressures: tuple[int, ...]
 
 
 Message = (
@@ -202,25 +205,38 @@ Message = (
     | Ident | Reading | Ack | Event | Follows
 )  # fmt: skip
 
-_TABLE: dict[int, tuple[type, str]] = {
-    0x01: (Hello, "<H"),
-    0x02: (SetLimits, "<H4i"),
-    0x03: (Arm, "<H"),
-    0x04: (SetPressures, "<H4i"),
-    0x05: (Heartbeat, "<H"),
-    0x06: (Stop, "<H"),
-    0x07: (WaveBegin, "<HHI"),
-    0x08: (WavePiece, "<HH"),
-    0x09: (WavePlay, "<HI"),
-    0x81: (Ident, "<HBBBHH4i"),
-    0x82: (Reading, "<IQBH8i"),
-    0x83: (Ack, "<HBBi"),
-    0x84: (Event, "<QBi"),
-    0x85: (Follows, "<HQ4i"),
+_TABLE: dict[int, tuple[type, str, int]] = {
+    0x01: (Hello, "<H", 0),
+    0x02: (SetLimits, "<H", 1),
+    0x03: (Arm, "<H", 0),
+    0x04: (SetPressures, "<H", 1),
+    0x05: (Heartbeat, "<H", 0),
+    0x06: (Stop, "<H", 0),
+    0x07: (WaveBegin, "<HHI", 0),
+    0x08: (WavePiece, "<HH", 1),
+    0x09: (WavePlay, "<HI", 0),
+    0x81: (Ident, "<HBBBHH", 1),
+    0x82: (Reading, "<IQBH", 1 + len(OTHER_CHANNELS)),
+    0x83: (Ack, "<HBBi", 0),
+    0x84: (Event, "<QBi", 0),
+    0x85: (Follows, "<HQ", 1),
 }
-_LAYOUTS = {code: (kind, struct.Struct(layout)) for code, (kind, layout) in _TABLE.items()}
-_CODES = {kind: code for code, (kind, _) in _TABLE.items()}
-_SAMPLE = struct.Struct("<4i")
+"""Class and fixed fields of each type. If the last number is not 0, the last field is a tuple with
+at least so many integers (i32)."""
+_LAYOUTS = {code: (kind, struct.Struct(fixed), n) for code, (kind, fixed, n) in _TABLE.items()}
+_CODES = {kind: code for code, (kind, *_) in _TABLE.items()}
+
+
+def channel_names(chambers: Sequence[str]) -> tuple[str, ...]:
+    """Returns the names of a reading's channels, with their units."""
+    return (*(f"p_{name}_Pa" for name in chambers), *OTHER_CHANNELS)
+
+
+def samples_per_piece(chambers: int) -> int:
+    """Returns the largest number of samples with which a `WavePiece` fits into a frame."""
+    # The frame has the COBS byte, the type byte, the fixed fields and the CRC, besides the samples.
+    room = LONGEST_FRAME - 2 - _LAYOUTS[_CODES[WavePiece]][1].size - 4
+    return min(MAX_SAMPLES_PER_PIECE, room // (4 * chambers))
 
 
 def type_byte(kind: type) -> int:
@@ -231,39 +247,27 @@ def type_byte(kind: type) -> int:
 def pack_message(message: Message) -> bytes:
     """Returns the message as bytes. Raises `struct.error` if a number does not fit into a field."""
     code = _CODES[type(message)]
-    layout = _LAYOUTS[code][1]
-    if isinstance(message, Reading):
-        return bytes([code]) + layout.pack(*message[:4], *message.channels)
-    if isinstance(message, WavePiece):
-        samples = struct.pack(f"<{len(message.pressures)}i", *message.pressures)
-        return bytes([code]) + layout.pack(message.seq, message.first) + samples
-    return bytes([code]) + layout.pack(*message)
+    _, fixed, least = _LAYOUTS[code]
+    if not least:
+        return bytes([code]) + fixed.pack(*message)
+    fields: list[Any] = list(message)
+    numbers = fields.pop()
+    return bytes([code]) + fixed.pack(*fields) + struct.pack(f"<{len(numbers)}i", *numbers)
 
 
 def unpack_message(body: bytes) -> Message | None:
     """Returns the message in `body`; None if the message's type or length is unknown."""
     if not body or body[0] not in _LAYOUTS:
         return None
-    kind, layout = _LAYOUTS[body[0]]
+    kind, fixed, least = _LAYOUTS[body[0]]
     fields = body[1:]
-    if kind is WavePiece:
-        samples, rest = divmod(len(fields) - layout.size, _SAMPLE.size)
-        if rest or not 1 <= samples <= MAX_SAMPLES_PER_PIECE:
-            return None
-        pressures = struct.unpack_from(f"<{4 * samples}i", fields, layout.size)
-        seq, first = layout.unpack_from(fields)
-        return WavePiece(seq, first, pressures)
-    if len(fields) != layout.size:
+    count, rest = divmod(len(fields) - fixed.size, 4)
+    if rest or count < least or (count and not least):
         return None
-    values = layout.unpack(fields)
-    if kind is Reading:
-        seq, device_us, state, command, *channels = values
-        return Reading(seq, device_us, state, command, tuple(channels))
+    values = fixed.unpack_from(fields)
+    if least:
+        values += (struct.unpack_from(f"<{count}i", fields, fixed.size),)
     return kind(*values)
-
-
-LONGEST_FRAME = 192
-"""Largest number of bytes between two zero bytes. A longer sequence counts as a damaged frame."""
 
 
 def encode_frame(message: Message) -> bytes:

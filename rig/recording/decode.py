@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.errors import RigError
-from rig.protocol.messages import CHANNELS, Arm, Follows, FrameDecoder, Reading, SetPressures
+from rig.protocol.messages import Arm, Follows, FrameDecoder, Reading, SetPressures
 from rig.recording.clock import unwrap_counter
 from rig.recording.reader import Recording
 
@@ -24,17 +24,12 @@ class DecodedReadings(NamedTuple):
     command: np.ndarray
     """Number `seq` of the last `SetPressures` command that the manifold accepted."""
     channels: np.ndarray
-    """(n, 8) in the order and units of `CHANNELS`."""
+    """(n, channels) in the order and units of `channel_names`."""
     lost: int
     duplicated: int
     damaged: int
     follows: list[Follows]
     """Changes of the set pressures that the manifold followed, in order of arrival."""
-
-    def pressures(self) -> tuple[np.ndarray, np.ndarray]:
-        """Returns signed pressures (n,) of front and rear: left minus right chamber [Pa]."""
-        p = self.channels
-        return p[:, 0] - p[:, 1], p[:, 2] - p[:, 3]
 
 
 def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
@@ -65,7 +60,7 @@ def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
         np.array([1e-6 * r.device_us for _, r in rows]),
         np.array([r.state for _, r in rows], np.int64),
         np.array([r.command for _, r in rows], np.int64),
-        np.array([r.channels for _, r in rows], float).reshape(len(rows), len(CHANNELS)),
+        np.array([r.channels for _, r in rows], float),
         lost=int(seq[-1] - seq[0] + 1 - len(seq)) if len(seq) else 0,
         duplicated=len(received) - len(rows),
         damaged=decoder.damaged,

@@ -6,14 +6,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rig.chambers import ChamberLayout
 from rig.errors import RigError
-from rig.protocol.messages import CHANNELS
+from rig.protocol.messages import OTHER_CHANNELS
 from rig.recording.clock import ClockFit, fit_clock
 from rig.recording.decode import DecodedReadings, decode_readings
 from rig.recording.reader import RecordedStream, Recording
 
-ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
-"""Order of the columns in a trial's file."""
+BODY_COLUMNS = ("thrust_N", "recoil_N", "tip_m")
+"""Columns of a trial's file after the time and the pressures, in this order."""
 AVERAGED = 25
 """Number of readings per mean. The means show whether the robot moved before the drive started."""
 QUIET_NOISE_RANGE = 5.0
@@ -56,8 +57,10 @@ class AnalogueSensor:
             raise RigError.value("analogue scale", self.scale, "a finite number except 0")
 
     def signal(self, channels: np.ndarray) -> np.ndarray:
-        """Returns values (...) for channels (..., 8), without tare if `zero` is None."""
-        volts = 1e-6 * channels[..., CHANNELS.index(f"in_{self.input}_uV")]
+        """Returns values (...) for channels (..., channels), without tare if `zero` is None."""
+        volts = (
+            1e-6 * channels[..., OTHER_CHANNELS.index(f"in_{self.input}_uV") - len(OTHER_CHANNELS)]
+        )
         return self.scale * (volts - (self.zero or 0.0))
 
 
@@ -75,10 +78,10 @@ class TrialColumns(NamedTuple):
     """The columns of a trial's files, and a record of the data's quality."""
 
     values: dict[str, np.ndarray]
-    """Columns t_s, p_front_Pa, p_rear_Pa and those of the instruments, each of shape (n,)."""
+    """Columns t_s and those of the pressures and the instruments, each of shape (n,)."""
     played: dict[str, np.ndarray] | None
-    """Columns t_s, set_front_Pa, set_rear_Pa: signed set pressures that the valves followed from
-    time t_s on. The last row is the drive's end. None if a change was not recorded."""
+    """Columns t_s and set_NAME_Pa of each actuator: signed set pressures that the valves followed
+    from time t_s on. The last row is the drive's end. None if a change was not recorded."""
     record: dict[str, Any]
     """Content of the trial's JSON file: losses, delays, ranges, statistics at rest, findings."""
 
@@ -87,13 +90,15 @@ def trial_columns(
     recording: Recording,
     begun_ns: int,
     duration: float,
+    layout: ChamberLayout,
     instruments: dict[str, StreamReader],
     analogue: tuple[AnalogueSensor, ...] = (),
 ) -> TrialColumns:
     """Returns the columns for `duration` [s] from the drive's start `begun_ns` (host time [ns]).
 
     The means at rest before the drive are subtracted from forces and tip, not from pressures.
-    `instruments` maps a stream's name to its reader. Raises `RigError` for fewer than two readings.
+    `instruments` maps a stream's name to its reader. Raises `RigError` for fewer than two readings,
+    and for a manifold with another number of chambers than `layout`.
     """
     received = recording.streams["manifold"]
     readings = decode_readings(zip(received.host_ns.tolist(), received.pieces(), strict=True))
@@ -102,16 +107,21 @@ def trial_columns(
             f"recording: {len(readings.seq)} readings of the manifold, {readings.damaged} damaged "
             "frames; at least 2 readings are needed; check the connection with `slider rig check`"
         )
+    there = readings.channels.shape[1] - len(OTHER_CHANNELS)
+    if there != len(layout.names):
+        raise RigError(
+            f"recording: chambers: the manifold has {there}, but the robot has "
+            f"{len(layout.names)} ({', '.join(layout.names)}); put the robot's experiment.toml "
+            "into the folder of the recordings"
+        )
     clock = fit_clock(readings.device_s, readings.host_s)
     t = clock.to_host(readings.device_s) - begun_ns * 1e-9
     rows, quiet = (t >= 0.0) & (t <= duration), t < 0.0
     if rows.sum() < 2:
         raise RigError("recording: no readings of the manifold during the drive; repeat the trial")
-    front, rear = readings.pressures()
-    values = {"t_s": t[rows], "p_front_Pa": front[rows], "p_rear_Pa": rear[rows]}
-    at_rest: dict[str, RestStatistics] = {
-        name: _rest(p[quiet]) for name, p in (("p_front_Pa", front), ("p_rear_Pa", rear))
-    }
+    signed = dict(zip(layout.columns, layout.signed(readings.channels.T), strict=True))
+    values = {"t_s": t[rows]} | {name: p[rows] for name, p in signed.items()}
+    at_rest = {name: _rest(p[quiet]) for name, p in signed.items()}
     motion: tuple[str, ...] = ()
     for sensor in analogue:
         signal = sensor.signal(readings.channels)
@@ -121,7 +131,7 @@ def trial_columns(
         )
         tare = at_rest[sensor.column].mean if sensor.zero is None else 0.0
         values[sensor.column] = (signal - tare)[rows]
-    played = _played_drive(readings, clock, begun_ns, duration)
+    played = _played_drive(readings, layout, clock, begun_ns, duration)
     findings = _manifold_findings(readings, clock) + motion
     if played is None:
         findings += (
@@ -142,18 +152,23 @@ def trial_columns(
                 t[rows], at, signal - at_rest[column].mean, samples.continuous
             )
         findings += samples.findings
-    values = {name: values[name] for name in (*ORDER, *values) if name in values}
+    order = ("t_s", *layout.columns, *BODY_COLUMNS, *values)
+    values = {name: values[name] for name in order if name in values}
     record = _quality_record(recording, readings, clock, values, at_rest, findings)
     return TrialColumns(values, played, record)
 
 
 def _played_drive(
-    readings: DecodedReadings, clock: ClockFit, begun_ns: int, duration: float
+    readings: DecodedReadings,
+    layout: ChamberLayout,
+    clock: ClockFit,
+    begun_ns: int,
+    duration: float,
 ) -> dict[str, np.ndarray] | None:
     """Returns the columns of the played drive, or None if a change before `duration` was lost."""
     if not readings.follows:
         return None
-    sets = np.array([x[2:] for x in readings.follows], float)
+    sets = np.array([x.pressures for x in readings.follows], float)
     t = clock.to_host(np.array([1e-6 * x.device_us for x in readings.follows])) - begun_ns * 1e-9
     # Changes after `duration`, in the fade, are not needed.
     needed = int(np.searchsorted(t, duration)) + 1
@@ -165,9 +180,8 @@ def _played_drive(
     before, within = np.flatnonzero(t <= 0.0)[-1], np.flatnonzero((t > 0.0) & (t < duration))
     within = within[np.append(np.diff(t[within]) > 0.0, True)[: len(within)]]
     rows = np.concatenate([[before], within, [within[-1] if len(within) else before]])
-    front, rear = sets[rows, 0] - sets[rows, 1], sets[rows, 2] - sets[rows, 3]
     at = np.concatenate([[0.0], t[within], [duration]])
-    return {"t_s": at, "set_front_Pa": front, "set_rear_Pa": rear}
+    return {"t_s": at} | dict(zip(layout.set_columns, layout.signed(sets[rows].T), strict=True))
 
 
 class RestStatistics(NamedTuple):

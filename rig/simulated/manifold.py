@@ -2,38 +2,47 @@
 
 from collections.abc import Sequence
 
+from rig.chambers import SLIDER
 from rig.protocol import messages as wire
 
-HARD_LIMITS = (500_000, 500_000, 500_000, 500_000)
-"""Hard limits of the chambers: gauge pressures [Pa] that no command can exceed."""
+HARD_LIMIT = 500_000
+"""Hard limit of a chamber: gauge pressure [Pa] that no command can exceed."""
 Pressures = tuple[int, ...]
 
 
 class ManifoldCore:
-    """The state machine of docs/reference/rig_protocol.md. Times are device times [us]."""
+    """The state machine of docs/reference/rig_protocol.md. Times are device times [us].
+
+    The manifold has one chamber for each of the `hard_limits` [Pa].
+    """
 
     def __init__(
         self,
-        hard_limits: Pressures = HARD_LIMITS,
+        hard_limits: Pressures = (HARD_LIMIT,) * len(SLIDER.names),
         version: tuple[int, int, int] = (1, 1, 0),
         longest: int = 2000,
         rate: int = 500,
         protocol: int = wire.PROTOCOL,
     ):
         self.state = wire.ManifoldState.BOOT
-        self._ident = wire.Ident(protocol, *version, longest, rate, *hard_limits)
+        self._ident = wire.Ident(protocol, *version, longest, rate, hard_limits)
         self._hard, self._longest, self._period = hard_limits, longest, 1_000_000 // rate
         self._decoder, self._foreign = wire.FrameDecoder(), 0
-        self._limits: Pressures = (0, 0, 0, 0)
-        self._set: Pressures = (0, 0, 0, 0)
+        self._zero: Pressures = (0,) * len(hard_limits)
+        self._limits = self._set = self._zero
         self._command = self._readings = self._last_command = self._changes = 0
         self._due: int | None = None
         self._wave: list[Pressures | None] = []
         self._wave_period = self._wave_start = self._repeats = 0
 
     @property
+    def chambers(self) -> int:
+        """Number of the chambers."""
+        return len(self._hard)
+
+    @property
     def set_pressures(self) -> Pressures | None:
-        """Set pressures (4,) [Pa] that the valves follow; None while all chambers vent."""
+        """Set pressures (chambers,) [Pa] that the valves follow; None while all chambers vent."""
         return (
             self._set
             if self.state in (wire.ManifoldState.ARMED, wire.ManifoldState.PLAYING)
@@ -49,12 +58,24 @@ class ManifoldCore:
         """Takes bytes from the host and returns the answer."""
         replies = self._watch(now_us)
         for message in self._decoder.feed(piece):
-            if wire.type_byte(type(message)) < 0x80:  # a message of the host
+            if self._is_command(message):
                 self._last_command = now_us
                 replies += self._obey(message, now_us)
             else:
                 self._foreign += 1
         return b"".join(map(wire.encode_frame, replies))
+
+    def _is_command(self, message: wire.Message) -> bool:
+        """Returns whether the host may send a message of this type and length."""
+        match message:
+            case wire.SetLimits():
+                return len(message.limits) == self.chambers
+            case wire.SetPressures():
+                return len(message.pressures) == self.chambers
+            case wire.WavePiece():
+                samples, rest = divmod(len(message.pressures), self.chambers)
+                return not rest and samples <= wire.MAX_SAMPLES_PER_PIECE
+        return wire.type_byte(type(message)) < 0x80
 
     def delay_last_command(self, now_us: int, fed_us: int) -> None:
         """Sets the time of the last valid command to `now_us` if the command came at `fed_us`."""
@@ -62,7 +83,7 @@ class ManifoldCore:
             self._last_command = now_us
 
     def tick(self, now_us: int, channels: Sequence[int]) -> bytes:
-        """Runs the main loop once with channels (8,), and returns the bytes sent."""
+        """Runs the main loop once with a reading's channels, and returns the bytes sent."""
         sent: list[wire.Message] = []
         if self._due is None:
             self._due = now_us + self._period
@@ -109,7 +130,7 @@ class ManifoldCore:
         return [self._follows(now_us)] if changed else []
 
     def _follows(self, now_us: int) -> wire.Follows:
-        message = wire.Follows(self._changes, now_us, *self._set)
+        message = wire.Follows(self._changes, now_us, self._set)
         self._changes = (self._changes + 1) % 2**16
         return message
 
@@ -130,7 +151,7 @@ class ManifoldCore:
             case wire.Arm():
                 if self.state != wire.ManifoldState.READY:
                     return [self._ack(message, wire.Answer.WRONG_STATE)]
-                self.state, self._set = wire.ManifoldState.ARMED, (0, 0, 0, 0)
+                self.state, self._set = wire.ManifoldState.ARMED, self._zero
                 return [self._ack(message), self._follows(now_us)]
             case wire.WaveBegin() | wire.WavePiece() if self.state not in (
                 wire.ManifoldState.READY,
@@ -152,9 +173,9 @@ class ManifoldCore:
         raise AssertionError(message)
 
     def _limit(self, message: wire.SetLimits, now_us: int) -> list[wire.Message]:
-        wrong = _outside(message[1:], self._hard)
+        wrong = _outside(message.limits, self._hard)
         if wrong is None:
-            self.state, self._limits, self._wave = wire.ManifoldState.READY, message[1:], []
+            self.state, self._limits, self._wave = wire.ManifoldState.READY, message.limits, []
             return [self._ack(message)]
         refused: list[wire.Message] = [self._ack(message, *wrong)]
         if self.state in (wire.ManifoldState.BOOT, wire.ManifoldState.FAULT):
@@ -164,10 +185,10 @@ class ManifoldCore:
     def _follow(self, message: wire.SetPressures, now_us: int) -> list[wire.Message]:
         if self.state != wire.ManifoldState.ARMED:
             return [self._ack(message, wire.Answer.WRONG_STATE)]
-        wrong = _outside(message[1:], self._limits)
+        wrong = _outside(message.pressures, self._limits)
         if wrong is None:
             self._command = message.seq
-            return self._change(message[1:], now_us)
+            return self._change(message.pressures, now_us)
         return [self._ack(message, *wrong), self._fault(now_us, wire.Cause.REFUSED, wrong[1])]
 
     def _begin(self, message: wire.WaveBegin) -> tuple[wire.Answer, int]:
@@ -177,8 +198,8 @@ class ManifoldCore:
         return wire.Answer.DONE, 0
 
     def _take(self, message: wire.WavePiece) -> tuple[wire.Answer, int]:
-        flat = message.pressures
-        samples = [flat[i : i + 4] for i in range(0, len(flat), 4)]
+        flat, n = message.pressures, self.chambers
+        samples = [flat[i : i + n] for i in range(0, len(flat), n)]
         if message.first + len(samples) > len(self._wave):
             return wire.Answer.WRONG_PLACE, 0
         for sample in samples:

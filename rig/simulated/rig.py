@@ -9,7 +9,7 @@ from rig.simulated.manifold import ManifoldCore
 from rig.simulated.tank import Tank, TankState
 
 SetPoint = tuple[int, ...] | None
-"""Set pressures (4,) [Pa] that the valves follow; None while all chambers vent."""
+"""Set pressures (chambers,) [Pa] that the valves follow; None while all chambers vent."""
 STEP = 1_000
 """Time step of the tank and of the manifold's main loop [us]."""
 TIP_PER_VOLT = 0.1
@@ -140,7 +140,7 @@ class SimulatedRig:
         """
         states = list(self._states)
         if not states:
-            return TankState((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+            return TankState((0.0,) * self.core.chambers, 0.0, 0.0, 0.0, 0.0)
         after = next((i for i in range(len(states) - 1, 0, -1) if states[i - 1][0] <= now_us), 0)
         if after == 0:
             return states[0][1]
@@ -150,9 +150,9 @@ class SimulatedRig:
         def between(x: float, y: float) -> float:
             return x + share * (y - x)
 
-        p = [between(x, y) for x, y in zip(a.chambers, b.chambers, strict=True)]
+        p = tuple(between(x, y) for x, y in zip(a.chambers, b.chambers, strict=True))
         rest = (between(x, y) for x, y in zip(a[1:], b[1:], strict=True))
-        return TankState((p[0], p[1], p[2], p[3]), *rest)
+        return TankState(p, *rest)
 
     def _mean_set(self) -> SetPoint:
         """Returns the mean set pressures in the step that ends now. Keeps later changes."""
@@ -166,11 +166,11 @@ class SimulatedRig:
         if all(x == last for x in sets):
             return last
         held = [b - a for a, b in zip(times, [*times[1:], end], strict=True)]
-        total = [0.0] * 4
+        zero = (0,) * self.core.chambers
+        total = [0.0] * self.core.chambers
         for seconds, x in zip(held, sets, strict=True):
-            total = [p + seconds / STEP * q for p, q in zip(total, x or (0, 0, 0, 0), strict=True)]
-        a, b, c, d = (round(p) for p in total)
-        return a, b, c, d
+            total = [p + seconds / STEP * q for p, q in zip(total, x or zero, strict=True)]
+        return tuple(round(p) for p in total)
 
     def _channels(self, state: TankState, since: float) -> tuple[int, ...]:
         noise = self.faults.noise

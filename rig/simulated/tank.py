@@ -4,11 +4,13 @@ from math import exp
 from random import Random
 from typing import NamedTuple, Protocol
 
+from rig.chambers import SLIDER, ChamberLayout
+
 
 class TankState(NamedTuple):
     """True state of a tank at one time."""
 
-    chambers: tuple[float, float, float, float]
+    chambers: tuple[float, ...]
     """Gauge pressures of the chambers [Pa]."""
     supply: float
     """Gauge pressure of the supply [Pa]."""
@@ -24,39 +26,46 @@ class Tank(Protocol):
     """Model of a robot in water, or a simpler model with the same signals."""
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
-        """Returns the state after `seconds` at set gauge pressures (4,) [Pa]; None vents all."""
+        """Returns the state after `seconds` at set gauge pressures (chambers,) [Pa]; None vents."""
         ...
 
 
 class BenchTank:
-    """Chambers with a first-order lag, and a tail in air that follows the chambers' pressures.
+    """Chambers with a first-order lag, and a tail in air that follows the sum of signed pressures.
 
     This tank is for trying the rig's commands: thrust and tip depend on the set pressures, but the
     tank is not a model of swimming. `lag` and `tail` [s] are the time constants of chambers and
     tail. `leak` [1/s] is the relative loss rate of each chamber's pressure. `gain` [m/Pa] is the
-    tip's excursion per pressure difference.
+    tip's excursion per sum of the signed pressures.
     """
 
     def __init__(
-        self, lag: float = 0.05, supply: float = 600e3, gain: float = 2e-7, tail: float = 0.02
+        self,
+        layout: ChamberLayout = SLIDER,
+        lag: float = 0.05,
+        supply: float = 600e3,
+        gain: float = 2e-7,
+        tail: float = 0.02,
     ):
         self.lag, self.supply, self.gain, self.tail = lag, supply, gain, tail
-        self.leak = [0.0, 0.0, 0.0, 0.0]
-        self._p = [0.0, 0.0, 0.0, 0.0]
+        self._layout = layout
+        self.leak = [0.0] * len(layout.names)
+        self._p = [0.0] * len(layout.names)
         self._tip = 0.0
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
         """Implements `Tank.advance`. Pressures are exact; the tip's error is of order `seconds`."""
-        wanted = set_pressures or (0, 0, 0, 0)
+        wanted = set_pressures or (0,) * len(self._p)
         for i, target in enumerate(wanted):
             rate = 1.0 / self.lag + self.leak[i]
             steady = target / (self.lag * rate)
             self._p[i] = steady + (self._p[i] - steady) * exp(-rate * seconds)
-        a, b, c, d = self._p
-        aim = self.gain * (a - b + c - d)
+        signed = self._layout.signed(self._p)
+        aim = self.gain * sum(signed)
         self._tip = aim + (self._tip - aim) * exp(-seconds / self.tail)
         speed = (aim - self._tip) / self.tail
-        return TankState((a, b, c, d), self.supply, 2.0 * speed**2, -1e-6 * (a - b), self._tip)
+        forces = 2.0 * speed**2, -1e-6 * signed[0]
+        return TankState(tuple(self._p), self.supply, *forces, self._tip)
 
 
 class BenchChamber:

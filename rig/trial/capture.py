@@ -16,7 +16,7 @@ from rig.recording.clock import Sink
 from rig.recording.writer import RecorderLoad
 from rig.recording.writer_process import ProcessRecorder
 from rig.trial.player import RATE, PlaybackRecord, play_drive, wait_until
-from rig.trial.waveform import SegmentDrive
+from rig.trial.waveform import ChamberDrive
 
 
 class RecordedInstrument(Protocol):
@@ -58,7 +58,7 @@ class PlannedTrial:
 
     name: str
     """Name of the trial's files, without a suffix."""
-    drive: SegmentDrive
+    drive: ChamberDrive
     duration: float
     """Duration of the drive without its fade [s]."""
 

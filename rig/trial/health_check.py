@@ -9,7 +9,7 @@ import numpy as np
 from rig.errors import RigError
 from rig.force.sensor import ForceSource, SensorMounting
 from rig.manifold.driver import Manifold
-from rig.protocol.messages import CHAMBERS, Reading
+from rig.protocol.messages import Reading
 
 ANSWER_TIMEOUT = 0.02
 """Longest wait for the reading that answers a command [s]. With this short wait, the watchdog does
@@ -37,7 +37,7 @@ class ChamberCheck(NamedTuple):
     rise: float
     """Time until the pressure is 63 % of `reached` [s]."""
     others: float
-    """Highest pressure of another chamber in the last fifth of the test [Pa]."""
+    """Highest pressure of another chamber in the last fifth of the test [Pa]; 0 without one."""
 
 
 class ManifoldCheck(NamedTuple):
@@ -52,9 +52,9 @@ class ManifoldCheck(NamedTuple):
     round_trip: np.ndarray
     """(n,) time from a command to the first reading with the command's number [s]."""
     noise: np.ndarray
-    """(8,) standard deviations of the channels at rest, in the units of `CHANNELS`."""
+    """(channels,) standard deviations of the channels at rest, in the units of `channel_names`."""
     offset: np.ndarray
-    """(8,) means of the channels at rest, in the units of `CHANNELS`."""
+    """(channels,) means of the channels at rest, in the units of `channel_names`."""
     held: list[ChamberCheck]
     findings: list[str]
 
@@ -113,7 +113,7 @@ def check_manifold(
     progress("answer times")
     trips = _round_trips(manifold, collector)
     held = []
-    for chamber, name in enumerate(CHAMBERS):
+    for chamber, name in enumerate(manifold.limits.chambers):
         progress(f"{name} at {1e-3 * pressure:g} kPa")
         held.append(_check_chamber(manifold, collector, chamber, pressure))
     manifold.stop()
@@ -180,10 +180,10 @@ def _hold(manifold: Manifold, seconds: float, command: Callable[[], object]) -> 
 
 
 def _round_trips(manifold: Manifold, collector: ReadingCollector) -> np.ndarray:
-    trips = []
+    trips, zero = [], (0.0,) * len(manifold.limits.chambers)
     for _ in range(TIMED_COMMANDS):
         collector.take()
-        begun, seq = time.monotonic_ns(), manifold.set((0.0, 0.0, 0.0, 0.0))
+        begun, seq = time.monotonic_ns(), manifold.set(zero)
         end = time.monotonic() + ANSWER_TIMEOUT
         while time.monotonic() < end:
             arrival = next((t for t, r in list(collector.rows) if r.command == seq), None)
@@ -198,20 +198,20 @@ def _round_trips(manifold: Manifold, collector: ReadingCollector) -> np.ndarray:
 def _check_chamber(
     manifold: Manifold, collector: ReadingCollector, chamber: int, pressure: float
 ) -> ChamberCheck:
-    pressures = [pressure if i == chamber else 0.0 for i in range(len(CHAMBERS))]
+    names = manifold.limits.chambers
+    pressures = [pressure if i == chamber else 0.0 for i in range(len(names))]
     collector.take()
     begun = time.monotonic_ns()
     _hold(manifold, HOLD_TIME, lambda: manifold.set(pressures))
     rows = collector.take()
     t = np.array([1e-9 * (host_ns - begun) for host_ns, _ in rows])
-    p = np.array([r.channels[:4] for _, r in rows], float)
+    p = np.array([r.pressures for _, r in rows], float)
     if not (t > 0.8 * HOLD_TIME).any():
-        raise RigError(
-            f"no readings arrived during the test of {CHAMBERS[chamber]}; check the cable"
-        )
+        raise RigError(f"no readings arrived during the test of {names[chamber]}; check the cable")
     reached = float(p[t > 0.8 * HOLD_TIME, chamber].mean())
     above = np.flatnonzero(p[:, chamber] >= 0.632 * reached)
     rise = float(t[above[0]]) if len(above) else float("nan")
-    others = float(np.delete(p, chamber, axis=1)[t > 0.8 * HOLD_TIME].max())
-    _hold(manifold, 0.5, lambda: manifold.set((0.0, 0.0, 0.0, 0.0)))
-    return ChamberCheck(CHAMBERS[chamber], pressure, reached, rise, others)
+    others = np.delete(p, chamber, axis=1)[t > 0.8 * HOLD_TIME]
+    highest = float(others.max()) if others.size else 0.0
+    _hold(manifold, 0.5, lambda: manifold.set([0.0] * len(names)))
+    return ChamberCheck(names[chamber], pressure, reached, rise, highest)

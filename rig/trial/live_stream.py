@@ -2,29 +2,27 @@
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from threading import Lock
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from rig.chambers import ChamberLayout
 from rig.manifold.driver import Manifold
-from rig.protocol.messages import CHANNELS, Follows, ManifoldState, Reading
+from rig.protocol.messages import Follows, ManifoldState, Reading
 from rig.recording.clock import RunningClock
-from rig.recording.table import ORDER, AnalogueSensor, resample_at_rows
+from rig.recording.table import BODY_COLUMNS, AnalogueSensor, resample_at_rows
 
-CHANNELS_OUT = ORDER[1:]
-"""Channels in the rows of `LiveReadings.measured`, in this order."""
 MAX_FORCE_DELAY = 0.05
 """Longest time for which `LiveStream` delays a reading to wait for a later force sample [s]."""
 MAX_KEPT = 4096
 """Largest number each of readings, commands and force samples in memory: 4 s of forces at 1 kHz."""
 FORCE_MEMORY = 0.2
 """Force samples are deleted if they precede the latest complete reading by this time [s]."""
-Pressures = tuple[float, float, float, float]
 Item = TypeVar("Item")
-Signed = tuple[float, float]
-"""Signed pressures of the front and rear segment [Pa]."""
+Signed = tuple[float, ...]
+"""Signed pressures of the actuators [Pa]."""
 
 
 class LiveReadings(NamedTuple):
@@ -33,9 +31,9 @@ class LiveReadings(NamedTuple):
     device_s: np.ndarray
     """(n,) times on the manifold's clock [s]."""
     set_pressure: np.ndarray
-    """(2, n) signed set pressures of front and rear, means since the previous reading [Pa]."""
+    """(actuators, n) signed set pressures, means since the previous reading [Pa]."""
     measured: np.ndarray
-    """(5, n) values of `CHANNELS_OUT`; NaN for a channel without a sensor."""
+    """(columns, n) values of the stream's `columns`; NaN for a column without a sensor."""
     arrived_ns: np.ndarray
     """(n,) host times of arrival [ns]."""
 
@@ -48,19 +46,26 @@ class LiveStream:
     set pressures. `set`, `reading`, `follows` and `force` are thread-safe, other members are not.
     """
 
-    def __init__(self, analogue: tuple[AnalogueSensor, ...] = (), has_force: bool = False):
-        self._analogue, self._has_force = analogue, has_force
+    def __init__(
+        self,
+        layout: ChamberLayout,
+        analogue: tuple[AnalogueSensor, ...] = (),
+        has_force: bool = False,
+    ):
+        self.columns = (*layout.columns, *BODY_COLUMNS)
+        """Names of the rows of `LiveReadings.measured`."""
+        self._layout, self._analogue, self._has_force = layout, analogue, has_force
         self._lock = Lock()
-        self._commands: dict[int, Pressures] = {}
+        self._commands: dict[int, tuple[float, ...]] = {}
         self._received: deque[tuple[int, Reading] | Follows] = deque(maxlen=MAX_KEPT)
         self._forces_received: deque[tuple[int, float, float, float]] = deque(maxlen=MAX_KEPT)
         self._clock, self._force_clock = RunningClock(), RunningClock()
         self._rows: deque[tuple[int, Reading, Signed]] = deque(maxlen=MAX_KEPT)
         self._forces: list[tuple[float, float, float]] = []
-        self._followed = _Followed()
+        self._followed = _Followed(len(layout.actuators))
         self.manifold: Manifold | None = None
 
-    def set(self, pressures: Pressures) -> int:
+    def set(self, pressures: tuple[float, ...]) -> int:
         """Sends set pressures [Pa] to the manifold and returns the command's number."""
         assert self.manifold is not None
         with self._lock:
@@ -100,15 +105,17 @@ class LiveStream:
             rows.append(self._rows.popleft())
             at.append(t)
         device = np.array([1e-6 * reading.device_us for _, reading, _ in rows])
-        set_pressure = np.array([mean for _, _, mean in rows]).reshape(-1, 2).T
-        p = np.array([reading.channels for _, reading, _ in rows], float).reshape(-1, len(CHANNELS))
-        measured = np.full((len(CHANNELS_OUT), len(rows)), np.nan)
-        measured[:2] = p[:, 0] - p[:, 1], p[:, 2] - p[:, 3]
-        for sensor in self._analogue:
-            measured[CHANNELS_OUT.index(sensor.column)] = sensor.signal(p)
+        count = len(self._layout.actuators)
+        set_pressure = np.array([mean for _, _, mean in rows]).reshape(-1, count).T
+        measured = np.full((len(self.columns), len(rows)), np.nan)
+        if rows:
+            channels = np.array([reading.channels for _, reading, _ in rows], float)
+            measured[:count] = self._layout.signed(channels.T)
+            for sensor in self._analogue:
+                measured[self.columns.index(sensor.column)] = sensor.signal(channels)
         if rows and self._has_force:
             for i in (1, 2):
-                measured[1 + i] = resample_at_rows(np.array(at), forces[0], forces[i])
+                measured[count - 1 + i] = resample_at_rows(np.array(at), forces[0], forces[i])
             del self._forces[: int(np.searchsorted(forces[0], at[-1] - FORCE_MEMORY))]
         arrived = np.array([host_ns for host_ns, _, _ in rows], np.int64)
         return LiveReadings(device, set_pressure, measured, arrived)
@@ -124,7 +131,7 @@ class LiveStream:
             commands = dict(self._commands)
         for item in items:
             if isinstance(item, Follows):
-                self._followed.change(1e-6 * item.device_us, _signed(item[2:]))
+                self._followed.change(1e-6 * item.device_us, self._layout.signed(item.pressures))
                 continue
             host_ns, reading = item
             t, resets = 1e-6 * reading.device_us, self._clock.resets
@@ -136,7 +143,8 @@ class LiveStream:
                 continue
             pressures = commands.get(reading.command)
             if pressures is not None:
-                self._followed.at_reading(t, _signed(pressures))
+                whole = [int(p) for p in pressures]
+                self._followed.at_reading(t, self._layout.signed(whole))
             self._rows.append((host_ns, reading, self._followed.mean_until(t)))
 
 
@@ -149,13 +157,14 @@ def _all_of(items: deque[Item]) -> Iterator[Item]:
 class _Followed:
     """The signed set pressures that the manifold followed, as a function of device time [s]."""
 
-    def __init__(self) -> None:
+    def __init__(self, actuators: int) -> None:
+        self._rest: Signed = (0.0,) * actuators
         self.forget()
 
     def forget(self) -> None:
         """Deletes all set pressures."""
         self._at: list[float] = [-np.inf]
-        self._sets: list[Signed] = [(0.0, 0.0)]
+        self._sets: list[Signed] = [self._rest]
         self._since: float | None = None
 
     def change(self, t: float, pressures: Signed) -> None:
@@ -179,16 +188,11 @@ class _Followed:
         last = bisect_right(self._at, t) - 1
         since, self._since = self._since, t
         if since is None or not since < t:
-            front, rear = self._sets[last]
+            mean = self._sets[last]
         else:
             ends = np.array([since, *(x for x in self._at if since < x <= t), t])
             held = np.array(self._sets[last + 2 - len(ends) : last + 1])
-            front, rear = (np.diff(ends) @ held / (t - since)).tolist()
+            mean = tuple((np.diff(ends) @ held / (t - since)).tolist())
         # The next call needs the value at `t` and later changes.
         del self._at[:last], self._sets[:last]
-        return front, rear
-
-
-def _signed(pressures: Sequence[float]) -> Signed:
-    a, b, c, d = (int(p) for p in pressures)
-    return a - b, c - d
+        return mean

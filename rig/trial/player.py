@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rig.recording.clock import host_ns
-from rig.trial.waveform import SegmentDrive, chamber_pressures
+from rig.trial.waveform import ChamberDrive
 
 RATE = 200.0
 """Default number of commands per second. The manifold vents after 0.1 s without a command."""
@@ -17,7 +17,7 @@ RATE = 200.0
 class Settable(Protocol):
     """A receiver of set pressures."""
 
-    def set(self, pressures: tuple[float, float, float, float], /) -> int: ...
+    def set(self, pressures: tuple[float, ...], /) -> int: ...
 
 
 class PlaybackRecord(NamedTuple):
@@ -29,7 +29,7 @@ class PlaybackRecord(NamedTuple):
     """(commands,) time from the scheduled to the actual sending of each command [s]."""
 
 
-def command_times(drive: SegmentDrive, duration: float, rate: float = RATE) -> np.ndarray:
+def command_times(drive: ChamberDrive, duration: float, rate: float = RATE) -> np.ndarray:
     """Returns the times [s] of all commands in [0, duration)."""
     regular = np.arange(int(np.ceil(duration * rate))) / rate
     regular = regular[regular < duration]
@@ -40,7 +40,7 @@ def command_times(drive: SegmentDrive, duration: float, rate: float = RATE) -> n
 
 def play_drive(
     manifold: Settable,
-    drive: SegmentDrive,
+    drive: ChamberDrive,
     duration: float,
     rate: float = RATE,
     watch: Callable[[float], None] = lambda t: None,
@@ -59,8 +59,7 @@ def play_drive(
     begun = host_ns() + round((start - time.monotonic()) * 1e9)
     for i, t in enumerate(times):
         scale = 1.0 if t < duration else cos(0.5 * pi * (t - duration) / fade) ** 2
-        front, rear = drive.segments(t)
-        pressures = chamber_pressures(scale * front, scale * rear)
+        pressures = drive.layout.split([scale * p for p in drive.signed(t)])
         wait_until(start + t)
         manifold.set(pressures)
         lateness[i] = time.monotonic() - (start + t)

@@ -5,9 +5,10 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -107,8 +108,9 @@ def run_trial(
         lambda phase, t: watch(trial.name, phase, t),
     )  # fmt: skip
     columns = trial_columns(
-        read_recording(path), recorded.played.begun_ns, trial.duration, rig.readers, rig.analogue
-    )
+        read_recording(path), recorded.played.begun_ns, trial.duration, trial.drive.layout,
+        rig.readers, rig.analogue,
+    )  # fmt: skip
     record = _trial_record(trial, recorded, columns) | {
         "settings": settings,
         "versions": _versions(),
@@ -175,7 +177,9 @@ def finished_record(
     record = read_trial_record(path.with_suffix(".h5"))
     if record is None:
         return None
-    before = {"trial": {key: record[key] for key in ("duration_s", "drive")}}
+    before = {
+        "trial": {"duration_s": record["duration_s"], "drive": _per_actuator(record["drive"])}
+    }
     if differ := changed_settings(record["settings"] | before, settings | {"trial": _drive(trial)}):
         raise RigError(
             f"{path}: trial {trial.name} exists already, with other values of {', '.join(differ)}; "
@@ -186,12 +190,29 @@ def finished_record(
 
 def _drive(trial: PlannedTrial) -> dict[str, Any]:
     """Returns a trial's duration and drive for the record. Arrays are replaced by checksums."""
-    plain = (str, float, int)
-    drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
+    keys = ("waveform", "frequency", "amplitude", "ratios", "phases", "rise")
+    drive: dict[str, Any] = {key: getattr(trial.drive, key) for key in keys}
+    if any(trial.drive.biases):
+        drive["biases"] = trial.drive.biases
+    if any(isfinite(x.limit) for x in trial.drive.layout.actuators):
+        drive["limits"] = [
+            x.limit if isfinite(x.limit) else None for x in trial.drive.layout.actuators
+        ]
     for key in ("times", "recorded"):
         if (array := getattr(trial.drive, key)) is not None:
             drive[f"{key}_sha256"] = hashlib.sha256(np.asarray(array).tobytes()).hexdigest()
     return {"duration_s": trial.duration, "drive": drive}
+
+
+def _per_actuator(drive: dict[str, Any]) -> dict[str, Any]:
+    """Returns a drive of an earlier record with `ratios` and `phases`.
+
+    Records of earlier versions have `rear_ratio` and `phase`, and always two actuators.
+    """
+    found = dict(drive)
+    if "rear_ratio" in found:
+        found["ratios"], found["phases"] = [1.0, found.pop("rear_ratio")], [0.0, found.pop("phase")]
+    return found
 
 
 def changed_settings(before: dict[str, Any], now: dict[str, Any]) -> list[str]:

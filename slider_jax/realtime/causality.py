@@ -53,15 +53,16 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
                 )
 
 
-def check_instrument(effect: Instrument, h: float, samples: int) -> None:
+def check_instrument(effect: Instrument, pressures: int, h: float, samples: int) -> None:
     """Raises `InputError` if readings from `read_now` differ from `effect.read` of a whole series.
 
-    The check uses a random series with steps of `h` [s]. An instrument that needs future samples,
+    The check uses a random series with steps of `h` [s] of all readings; `pressures` is their
+    number of pressures. An instrument that needs future samples,
     or samples older than the last `samples`, fails the check.
     """
     t = jnp.asarray(h * np.arange(2.0 * samples + 50.0))
-    noise = np.random.default_rng(0).normal(size=(5, len(t)))
-    series = Readings(t, jnp.asarray(noise[:2]), *jnp.asarray(noise[2:]))
+    noise = np.random.default_rng(0).normal(size=(pressures + 3, len(t)))
+    series = Readings(t, jnp.asarray(noise[:pressures]), *jnp.asarray(noise[pressures:]))
 
     @jax.jit
     def both(effect, series):

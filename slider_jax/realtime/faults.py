@@ -1,6 +1,7 @@
 """Defines faults of a plant: leaking chambers, blocked valves and a changed tail stiffness."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,17 +9,32 @@ from jaxtyping import Array, Float
 
 from slider_jax.effects import Flow
 from slider_jax.errors import InputError, refuse_unknown
+from slider_jax.experiment.actuator_tables import ChamberTable
 
-CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
-"""The four chambers, in the order of set pressures and readings."""
+Places = dict[str, tuple[int, int]]
+"""The place of each chamber by name: number of the actuator, and 0 for left or 1 for right."""
+
+
+def chamber_places(actuators: Sequence[ChamberTable]) -> Places:
+    """Returns the places of all chambers, actuator by actuator, left before right.
+
+    The chambers of a pair are NAME_left and NAME_right. A single chamber has the actuator's name.
+    """
+    sides: tuple[Literal["left", "right"], ...] = ("left", "right")
+    return {
+        f"{x.name}_{side}" if x.side == "both" else x.name: (row, column)
+        for row, x in enumerate(actuators)
+        for column, side in enumerate(sides)
+        if x.acts_on(side)
+    }
 
 
 class Faults(NamedTuple):
-    """Fault values, which may change between steps. Array axes: (front, rear), (left, right)."""
+    """Fault values, which may change between steps. Array axes: actuators, (left, right)."""
 
-    leak: Float[Array, "2 2"] | np.ndarray
+    leak: Float[Array, "actuators 2"] | np.ndarray
     """Leak rate [1/s]: conductance of the leak divided by the capacity of the chamber."""
-    blocked: Float[Array, "2 2"] | np.ndarray
+    blocked: Float[Array, "actuators 2"] | np.ndarray
     """Blocked fraction of the fill valve's flow [-]."""
     EI_tail: Float[Array, ""] | np.ndarray
     """Bending stiffness of the tail [N m^2]."""
@@ -35,9 +51,9 @@ class ChamberFaults(Flow):
 
     title = "faults of single chambers"
 
-    leak: Float[Array, "2 2"]
+    leak: Float[Array, "actuators 2"]
     """Leak rate q [1/s]."""
-    blocked: Float[Array, "2 2"]
+    blocked: Float[Array, "actuators 2"]
     """Blocked fraction b [-]."""
 
     def rate(self, rate, x):
@@ -45,31 +61,30 @@ class ChamberFaults(Flow):
         return jnp.where(x.filling, (1.0 - b) * rate, rate) - q * x.p
 
 
-def no_faults(EI_tail: float) -> Faults:
+def no_faults(actuators: int, EI_tail: float) -> Faults:
     """Returns fault values of an intact robot with the tail stiffness `EI_tail` [N m^2]."""
-    return Faults(np.zeros((2, 2)), np.zeros((2, 2)), np.asarray(EI_tail))
+    return Faults(np.zeros((actuators, 2)), np.zeros((actuators, 2)), np.asarray(EI_tail))
 
 
 ALLOWED = {
-    **{f"leak_{chamber}": (0.0, 100.0, "1/s") for chamber in CHAMBERS},
-    **{
-        f"blocked_{chamber}": (0.0, 1.0, "fraction of the fill valve's flow")
-        for chamber in CHAMBERS
-    },
+    "leak": (0.0, 100.0, "1/s"),
+    "blocked": (0.0, 1.0, "fraction of the fill valve's flow"),
     "EI_tail": (1e-6, 100.0, "N m^2"),
 }
-"""Lowest value, highest value and unit of each fault."""
+"""Lowest value, highest value and unit of each kind of fault."""
 
 
-def with_fault(faults: Faults, name: str, value: float) -> Faults:
+def with_fault(faults: Faults, chambers: Places, name: str, value: float) -> Faults:
     """Returns faults with one changed value. Raises `InputError` for an invalid name or value."""
-    refuse_unknown("fault", [name], ALLOWED)
-    low, high, unit = ALLOWED[name]
+    known = {f"{kind}_{chamber}": kind for kind in ("leak", "blocked") for chamber in chambers}
+    known["EI_tail"] = "EI_tail"
+    refuse_unknown("fault", [name], known)
+    kind = known[name]
+    low, high, unit = ALLOWED[kind]
     if not low <= value <= high:
         raise InputError.value(f"fault {name}", value, f"{low:g} to {high:g}, {unit}")
-    if name == "EI_tail":
+    if kind == "EI_tail":
         return faults._replace(EI_tail=np.asarray(float(value)))
-    kind, _, chamber = name.partition("_")
     changed = getattr(faults, kind).copy()
-    changed.flat[CHAMBERS.index(chamber)] = value
+    changed[chambers[name.removeprefix(f"{kind}_")]] = value
     return faults._replace(**{kind: changed})

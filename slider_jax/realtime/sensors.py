@@ -40,11 +40,10 @@ class SensorReading(NamedTuple):
     """Readings of the sensors at `t` [s], without noise."""
 
     t: float
-    pressures: tuple[float, float, float, float]
-    """Gauge pressures [Pa] of the chambers: front left, front right, rear left, rear right."""
-    p_front: float
-    """`p_front` and `p_rear`: signed pressures [Pa], left minus right, as in the CSV columns."""
-    p_rear: float
+    pressures: tuple[float, ...]
+    """Gauge pressures [Pa] of the chambers, in the order of `Plant.chambers`."""
+    signed: tuple[float, ...]
+    """Signed pressure [Pa] of each pneumatic actuator, left minus right, as in the CSV columns."""
     thrust_N: float
     recoil_N: float
     tip_m: float

@@ -32,7 +32,7 @@ from tests.support.firmware_host import Reply
 
 HARD = (400_000, 300_000, 200_000, 100_000)
 LONGEST = 12
-START = pack_message(Ident(1, 3, 2, 1, LONGEST, 500, *HARD))[1:]
+START = pack_message(Ident(1, 3, 2, 1, LONGEST, 500, HARD))[1:]
 
 
 def channels_of(*values):
@@ -110,14 +110,14 @@ class Dialogue:
             case "limits":
                 self.limits = tuple(dice.choice((0, hard // 2, hard)) for hard in HARD)
                 if dice.random() < 0.15:
-                    return [SetLimits(seq, *self._pressures(HARD, wild=True))]
-                return [SetLimits(seq, *self.limits)]
+                    return [SetLimits(seq, self._pressures(HARD, wild=True))]
+                return [SetLimits(seq, self.limits)]
             case "arm":
                 return [Arm(seq)]
             case "follow":
-                return [SetPressures(seq, *self._pressures(self.limits))]
+                return [SetPressures(seq, self._pressures(self.limits))]
             case "wild":
-                return [SetPressures(seq, *self._pressures(self.limits, wild=True))]
+                return [SetPressures(seq, self._pressures(self.limits, wild=True))]
             case "upload":
                 return self._upload(seq)
             case "begin":

@@ -11,7 +11,7 @@ from calibration.twin.alarm import MAX_MISFIT, REFERENCE, THRESHOLD, Bands, Wind
 from calibration.twin.estimate import RecursiveEstimator
 from calibration.twin.stream import GapFiller, Samples
 from calibration.twin.twin import Twin, TwinSettings
-from rig.trial.waveform import SegmentDrive, chamber_pressures
+from rig.trial.waveform import ChamberDrive
 from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
@@ -376,13 +376,15 @@ def test_a_delayed_edge_causes_only_a_small_residual_at_the_tip(tmp_path):
     """The bands are learned with a regular drive; a busy computer sends commands irregularly."""
     experiment = load(write_small_experiment(tmp_path, ("nodes = 11", "nodes = 51")))
     trial, plant = experiment.trials[0], Plant(experiment, step=1e-3)
-    drive = SegmentDrive("square", trial.frequency, trial.amplitude, trial.rear_ratio, trial.phase)
+    drive = ChamberDrive(
+        "square", trial.frequency, trial.amplitude, (1.0, trial.rear_ratio), (0.0, trial.phase)
+    )
     # The front's edge is delayed by 75 ms, the rear's by 50 ms.
     times = [4.1 if 4.1 < t < 4.2 else t for t in 1e-3 * np.arange(6000)]
-    asked = [chamber_pressures(*drive.segments(t)) for t in times]
+    asked = [drive.layout.split(drive.signed(t)) for t in times]
     found = [plant.advance(x, 1e-3) for x in asked][1::2]
     signed = np.array(asked)[:, ::2] - np.array(asked)[:, 1::2]
-    read = np.array([(x.p_front, x.p_rear, x.thrust_N, x.recoil_N, x.tip_m) for x in found])
+    read = np.array([(*x.signed, x.thrust_N, x.recoil_N, x.tip_m) for x in found])
     t = np.array([x.t for x in found])
     blocks = Twin.of(experiment).feed(Samples(t, signed.reshape(-1, 2, 2).mean(axis=1).T, read.T))
     tip = np.concatenate([block.residual[4] for block in blocks])

@@ -154,7 +154,7 @@ def test_a_replay_converts_the_recording_of_a_killed_run(measured, tmp_path):
 def test_a_recording_without_a_drive_is_refused(tmp_path):
     path = tmp_path / "a.h5"
     with Recorder(path, ("manifold", "commands")) as recorder:
-        recorder.sink("commands")(1, encode_frame(SetPressures(1, 0, 0, 0, 0)))
+        recorder.sink("commands")(1, encode_frame(SetPressures(1, (0, 0, 0, 0))))
     with pytest.raises(RigError, match="the run ended before the drive began"):
         drive_span(read_recording(path))
 

@@ -131,8 +131,8 @@ def some_frame(random, number):
     low, high = number % 65_536, number // 65_536
     message: Message = random.choice(
         (
-            SetPressures(low, high, *values[:3]),
-            SetLimits(low, high, 0, 0, 0),
+            SetPressures(low, (high, *values[:3])),
+            SetLimits(low, (high, 0, 0, 0)),
             WaveBegin(low, high, number),
             WavePiece(low, high, tuple(values[:4] * random.randint(1, 8))),
             WavePlay(low, number),

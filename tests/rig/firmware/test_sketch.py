@@ -35,7 +35,7 @@ def commands(*messages):
     return b"".join(encode_frame(message) for message in messages)
 
 
-ARMED = commands(SetLimits(1, *(200_000,) * 4), Arm(2), SetPressures(3, 100_000, 100_000, 0, 500))
+ARMED = commands(SetLimits(1, (200_000,) * 4), Arm(2), SetPressures(3, (100_000, 100_000, 0, 500)))
 
 
 def heard(passes):
@@ -68,7 +68,7 @@ def test_every_stop_and_fault_vents_in_the_same_pass(program, cause_of_vent):
         case "silence":
             now, cause = 100_000, Cause.WATCHDOG
         case "refused":
-            sent, cause = commands(SetPressures(4, 0, 0, 200_001, 0)), Cause.REFUSED
+            sent, cause = commands(SetPressures(4, (0, 0, 200_001, 0))), Cause.REFUSED
         case "pressure":
             counts[3], cause = 1400, Cause.OVER_PRESSURE
         case "torn":

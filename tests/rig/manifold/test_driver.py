@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rig.chambers import SLIDER
 from rig.errors import RigError
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
@@ -21,9 +22,9 @@ from rig.simulated.terminal import serve_in_thread
 from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming
 from rig.trial.player import command_times, play_drive
 from rig.trial.session import RECORDINGS, Rig, run_trials
-from rig.trial.waveform import SegmentDrive, chamber_pressures
+from rig.trial.waveform import ChamberDrive
 
-LIMITS = PressureLimits.of([250e3])
+LIMITS = PressureLimits.of([250e3], SLIDER.names)
 QUICK = TrialTiming(quiet=0.3, after=0.1, fade=0.0)
 TIP = AnalogueSensor("tip_m", 1, TIP_PER_VOLT)
 
@@ -57,7 +58,7 @@ def read_columns(path):
 
 def test_a_recorded_trial_has_the_chambers_pressures(tmp_path):
     """The reference is the lag's exact solution for the set pressures that the valves followed."""
-    drive = SegmentDrive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
+    drive = ChamberDrive("square", 2.0, 100e3, ratios=(1.0, 0.5), phases=(0.0, 0.25))
     (record,) = run_on_simulated_rig(tmp_path, [PlannedTrial("a", drive, 1.5)])
     found = read_columns(tmp_path / "a.csv")
     assert record["readings_lost"] == record["frames_damaged"] == 0
@@ -68,7 +69,7 @@ def test_a_recorded_trial_has_the_chambers_pressures(tmp_path):
     fine = np.arange(0.0, 1.5, 1e-4)
     now = np.searchsorted(played["t_s"], fine, side="right") - 1
     for name, index in (("front", 0), ("rear", 1)):
-        planned = np.array([drive.segments(t)[index] for t in fine])
+        planned = np.array([drive.signed(t)[index] for t in fine])
         sets = played[f"set_{name}_Pa"][now]
         # Edges are late by the commands' travel time; no other differences are allowed.
         assert np.mean(sets != planned) < 0.02
@@ -86,7 +87,7 @@ def test_a_recorded_trial_has_the_chambers_pressures(tmp_path):
 
 def test_the_played_drive_is_recorded_to_a_fraction_of_a_millisecond(tmp_path):
     """The chambers followed the file's drive; the planned drive is up to 1 ms early."""
-    drive = SegmentDrive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
+    drive = ChamberDrive("square", 2.0, 100e3, ratios=(1.0, 0.5), phases=(0.0, 0.25))
     run_on_simulated_rig(tmp_path, [PlannedTrial("a", drive, 1.5)], LineFaults())
     found, played = read_columns(tmp_path / "a.csv"), read_columns(tmp_path / "a.played.csv")
     assert played["t_s"][0] == 0.0 and played["t_s"][-1] == 1.5
@@ -108,7 +109,7 @@ def test_the_played_drive_is_recorded_to_a_fraction_of_a_millisecond(tmp_path):
 
 
 def test_after_a_lost_change_of_the_drive_the_planned_drive_is_used(tmp_path, monkeypatch):
-    drive = PlannedTrial("a", SegmentDrive("square", 4.0, 100e3), 1.0)
+    drive = PlannedTrial("a", ChamberDrive("square", 4.0, 100e3), 1.0)
     (tmp_path / "a.played.csv").write_text("left by an earlier run")
     original, lost = ManifoldCore._follows, []
 
@@ -134,10 +135,10 @@ def test_a_drive_decays_to_zero_after_its_trial():
             sent.append(pressures)
             return 0
 
-    play_drive(Valves(), SegmentDrive("square", 5.0, 100e3), 0.2, 200.0, fade=0.2)
+    play_drive(Valves(), ChamberDrive("square", 5.0, 100e3), 0.2, 200.0, fade=0.2)
     amplitude = [max(p) for p in sent]
     # 1.1 s / 5 ms = 220.00000000000003, which must not add a command.
-    assert command_times(SegmentDrive("sine", 5.0, 100e3), 1.1)[-1] < 1.0999
+    assert command_times(ChamberDrive("sine", 5.0, 100e3), 1.1)[-1] < 1.0999
     assert len(sent) == 80 and amplitude[:40] == [100e3] * 40
     after = np.array(amplitude[40:])
     assert np.all(np.diff(after) < 0.0) and after[0] == 100e3 and after[-1] < 0.01 * 100e3
@@ -151,7 +152,7 @@ def test_a_changed_recorded_drive_is_refused_by_its_samples(tmp_path):
     """A changed experiment file alone is no obstacle: its other trials may change."""
 
     def drive(last):
-        return SegmentDrive(
+        return ChamberDrive(
             "recorded", times=T, recorded=np.array([[0.0, 0.0], [5e4, 0.0], [0.0, last]])
         )
 
@@ -169,7 +170,7 @@ def test_a_changed_recorded_drive_is_refused_by_its_samples(tmp_path):
 
 
 def test_an_interrupted_run_resumes_with_the_missing_trials(tmp_path):
-    trials = [PlannedTrial(name, SegmentDrive("sine", 2.0, 50e3), 0.3) for name in "ab"]
+    trials = [PlannedTrial(name, ChamberDrive("sine", 2.0, 50e3), 0.3) for name in "ab"]
     run_on_simulated_rig(tmp_path, trials[:1], settings={"x": (1, 2)})
     before = (tmp_path / RECORDINGS / "a.h5").stat().st_mtime_ns
     (tmp_path / RECORDINGS / "b.h5").write_bytes(b"half")
@@ -180,8 +181,8 @@ def test_an_interrupted_run_resumes_with_the_missing_trials(tmp_path):
     with pytest.raises(RigError, match="other values of x"):
         run_on_simulated_rig(tmp_path, trials, settings={"x": (1, 3)})
     for other in (
-        SegmentDrive("sine", 2.0, 51e3),
-        SegmentDrive("recorded", times=T, recorded=np.zeros((3, 2))),
+        ChamberDrive("sine", 2.0, 51e3),
+        ChamberDrive("recorded", times=T, recorded=np.zeros((3, 2))),
     ):
         with pytest.raises(RigError, match=r"other values of trial\.drive\."):
             run_on_simulated_rig(tmp_path, [PlannedTrial("a", other, 0.3)], settings={"x": (1, 2)})
@@ -195,7 +196,7 @@ def test_an_interrupted_run_resumes_with_the_missing_trials(tmp_path):
 def test_a_bad_line_loses_readings_and_the_record_reports_it(tmp_path):
     faults = LineFaults(flipped=1e-4, dropped=1e-4, inserted=1e-4)
     (record,) = run_on_simulated_rig(
-        tmp_path, [PlannedTrial("a", SegmentDrive("sine", 2.0, 50e3), 1.0)], faults
+        tmp_path, [PlannedTrial("a", ChamberDrive("sine", 2.0, 50e3), 1.0)], faults
     )
     assert record["readings_lost"] > 0 and record["frames_damaged"] > 0
     assert any("lost" in x for x in record["findings"])
@@ -207,21 +208,21 @@ def test_a_bad_line_loses_readings_and_the_record_reports_it(tmp_path):
 
 def test_an_edge_close_to_a_regular_command_is_kept():
     """The edge is at 1.50000015 s, and a regular command is due at 1.5 s."""
-    drive = SegmentDrive("square", 0.3333333, 1e5)
+    drive = ChamberDrive("square", 0.3333333, 1e5)
     times = command_times(drive, 2.0)
-    switched = next(t for t in times if drive.segments(t)[0] < 0.0)
+    switched = next(t for t in times if drive.signed(t)[0] < 0.0)
     assert switched - 0.5 / 0.3333333 < 1e-9 and np.diff(times).min() > 1e-6
 
 
 def test_edges_of_a_square_wave_are_commanded_at_their_exact_times():
-    drive = SegmentDrive("square", 4.8, 1e5, phase=0.15)
+    drive = ChamberDrive("square", 4.8, 1e5, phases=(0.0, 0.15))
     times = command_times(drive, 1.0)
     for t in drive.edges(1.0):
-        before, after = drive.segments(t - 1e-7), drive.segments(t)
+        before, after = drive.signed(t - 1e-7), drive.signed(t)
         assert t == 0.0 or before != after or t == pytest.approx(0.15 / 4.8)
         assert np.abs(times - t).min() < 1e-9
     changes = [t for t in np.arange(1e-4, 1.0, 1e-4)
-               if drive.segments(t) != drive.segments(t - 1e-4)]  # fmt: skip
+               if drive.signed(t) != drive.signed(t - 1e-4)]  # fmt: skip
     edges = drive.edges(1.0)
     assert all(np.abs(edges - t).min() < 1.01e-4 for t in changes) and len(changes) >= 18
     assert np.all(np.diff(times) > 0.0) and np.diff(times).max() <= 5e-3 + 1e-9
@@ -233,7 +234,7 @@ def test_waveforms_equal_those_of_the_simulator(waveform):
 
     from slider_jax.actuation import SineWave, SquareWave, Trapezoid
 
-    drive = SegmentDrive(waveform, 3.0, 2e5, rear_ratio=-0.6, phase=0.3, rise=0.2)
+    drive = ChamberDrive(waveform, 3.0, 2e5, ratios=(1.0, -0.6), phases=(0.0, 0.3), rise=0.2)
     kind = {"square": SquareWave, "sine": SineWave, "trapezoid": Trapezoid}[waveform]
     extra = (0.2,) if waveform == "trapezoid" else ()
     front, rear = kind(3.0, 2e5, 0.0, *extra), kind(3.0, -1.2e5, 0.3, *extra)
@@ -241,17 +242,17 @@ def test_waveforms_equal_those_of_the_simulator(waveform):
         expected = [
             float(w.segment(jnp.asarray(t), jnp.asarray(t + 1e-7)).a0) for w in (front, rear)
         ]
-        assert drive.segments(float(t)) == pytest.approx(expected, abs=1e-6 * 2e5)
+        assert drive.signed(float(t)) == pytest.approx(expected, abs=1e-6 * 2e5)
 
 
 def test_a_recorded_drive_is_linear_between_its_samples():
-    drive = SegmentDrive(
+    drive = ChamberDrive(
         "recorded", times=np.array([0.0, 1.0]), recorded=np.array([[0, 10], [4, -10.0]])
     )
-    assert drive.segments(0.25) == (1.0, 5.0)
-    assert chamber_pressures(*drive.segments(1.0)) == (4.0, 0.0, 0.0, 10.0)
+    assert drive.signed(0.25) == (1.0, 5.0)
+    assert drive.layout.split(drive.signed(1.0)) == (4.0, 0.0, 0.0, 10.0)
     with pytest.raises(RigError, match="is not finite"):
-        SegmentDrive("recorded", times=np.array([0.0, 1.0]), recorded=np.full((2, 2), np.nan))
+        ChamberDrive("recorded", times=np.array([0.0, 1.0]), recorded=np.full((2, 2), np.nan))
 
 
 def test_a_waveform_is_uploaded_and_played_by_the_manifold():
@@ -284,20 +285,20 @@ def test_a_limit_above_the_hard_limit_is_refused():
     with serve_in_thread(SimulatedRig(BenchTank())) as served:
         with Manifold(open_port(served.path)) as manifold:
             with pytest.raises(RigError, match="front_left: given 600000 Pa; allowed at most"):
-                manifold.configure(PressureLimits.of([600e3]))
+                manifold.configure(PressureLimits.of([600e3], SLIDER.names))
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ([1.0], "limits, front_left: given 1; allowed 1e3 to 2e\\+06 Pa; not kPa or psi"),
-        ([2e5, 2e5], "given 2 pressures; allowed one for all chambers, or four"),
+        ([2e5, 2e5], "given 2 pressures; allowed one for all chambers, or 4"),
         ([float("nan")] * 4, "given nan"),
     ],
 )
 def test_impossible_limits_are_refused(given, message):
     with pytest.raises(RigError, match=message):
-        PressureLimits.of(given)
+        PressureLimits.of(given, SLIDER.names)
 
 
 def test_the_error_says_whether_a_port_is_missing_busy_or_not_serial(tmp_path):

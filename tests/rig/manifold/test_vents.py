@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from rig.chambers import SLIDER
 from rig.errors import RigError
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
@@ -19,14 +20,14 @@ from rig.simulated.rig import LineFaults, SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import serve_in_thread
 from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming, record_trial
-from rig.trial.waveform import SegmentDrive
+from rig.trial.waveform import ChamberDrive
 from tests.support.data import ROOT
 from tests.support.rig_experiment import EXPERIMENT, HANDLES_CTRL_C
 
 VENT_WITHIN = 0.15
-LIMITS = PressureLimits.of([250e3])
+LIMITS = PressureLimits.of([250e3], SLIDER.names)
 QUICK = TrialTiming(quiet=0.2, after=0.1, fade=0.0)
-DRIVE = SegmentDrive("square", 5.0, 200e3)
+DRIVE = ChamberDrive("square", 5.0, 200e3)
 
 
 class WatchedRig:
@@ -244,7 +245,7 @@ def test_a_trial_above_the_limit_does_not_begin(device, tmp_path):
     watched, served = device
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     with Manifold(open_port(served.path), *switches) as manifold:
-        trial = PlannedTrial("a", SegmentDrive("sine", 1.0, 250e3, rear_ratio=1.01), 1.0)
+        trial = PlannedTrial("a", ChamberDrive("sine", 1.0, 250e3, ratios=(1.0, 1.01)), 1.0)
         with pytest.raises(RigError, match="rear_left: given 252500 Pa; allowed 0 to its limit"):
             record_trial(trial, manifold, switches, {}, tmp_path / "a.h5", LIMITS, {}, QUICK)
     assert not (tmp_path / "a.h5").exists() and watched.highest == 0

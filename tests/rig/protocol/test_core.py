@@ -25,7 +25,7 @@ from rig.protocol.messages import (
 )
 from rig.simulated.manifold import ManifoldCore
 
-LIMITS = SetLimits(1, 1000, 2000, 3000, 4000)
+LIMITS = SetLimits(1, (1000, 2000, 3000, 4000))
 REST = (0, 0, 0, 0, 600_000, 0, 0, 0)
 
 
@@ -59,26 +59,28 @@ class Bench:
 def test_it_reports_its_reset_and_its_identity():
     bench = Bench()
     assert bench.replies == [Event(0, Cause.RESET, 0)] and bench.core.state == ManifoldState.BOOT
-    assert bench.send(Hello(9)) == [Ident(1, 1, 1, 0, 2000, 500, *[500_000] * 4)]
+    assert bench.send(Hello(9)) == [Ident(1, 1, 1, 0, 2000, 500, (500_000,) * 4)]
 
 
 def test_the_valves_follow_no_pressure_before_limits_and_arming():
     bench = Bench()
-    for message in (Arm(1), SetPressures(1, 1, 1, 1, 1), WavePlay(1, 0), WaveBegin(1, 2, 500)):
+    for message in (Arm(1), SetPressures(1, (1, 1, 1, 1)), WavePlay(1, 0), WaveBegin(1, 2, 500)):
         (ack,) = bench.send(message)
         assert ack.answer == Answer.WRONG_STATE and bench.core.set_pressures is None
     bench.send(LIMITS)
-    (ack,) = bench.send(SetPressures(1, 1, 1, 1, 1))
+    (ack,) = bench.send(SetPressures(1, (1, 1, 1, 1)))
     assert ack.answer == Answer.WRONG_STATE and bench.core.set_pressures is None
-    assert bench.send(Arm(2)) == [Ack(2, 3, Answer.DONE, 0), Follows(0, 0, 0, 0, 0, 0)]
+    assert bench.send(Arm(2)) == [Ack(2, 3, Answer.DONE, 0), Follows(0, 0, (0, 0, 0, 0))]
     assert bench.core.set_pressures == (0, 0, 0, 0)
 
 
 def test_set_pressures_are_followed_up_to_their_limits():
     bench = Bench(LIMITS, Arm(2))
-    assert bench.send(SetPressures(77, 1000, 0, 3000, 4000)) == [Follows(1, 0, 1000, 0, 3000, 4000)]
+    assert bench.send(SetPressures(77, (1000, 0, 3000, 4000))) == [
+        Follows(1, 0, (1000, 0, 3000, 4000))
+    ]
     # Equal pressures are not a change.
-    assert bench.send(SetPressures(77, 1000, 0, 3000, 4000)) == []
+    assert bench.send(SetPressures(77, (1000, 0, 3000, 4000))) == []
     assert bench.core.set_pressures == (1000, 0, 3000, 4000)
     bench.wait(0.004)
     assert [r.command for r in bench.readings] == [77, 77]
@@ -93,8 +95,8 @@ def test_set_pressures_are_followed_up_to_their_limits():
     ],
 )
 def test_a_pressure_outside_its_limits_is_refused_and_vents(pressures, answer, chamber):
-    bench = Bench(LIMITS, Arm(2), SetPressures(3, 5, 5, 5, 5))
-    assert bench.send(SetPressures(4, *pressures)) == [
+    bench = Bench(LIMITS, Arm(2), SetPressures(3, (5, 5, 5, 5)))
+    assert bench.send(SetPressures(4, pressures)) == [
         Ack(4, 4, answer, chamber),
         Event(0, Cause.REFUSED, chamber),
     ]
@@ -107,17 +109,17 @@ def test_a_pressure_outside_its_limits_is_refused_and_vents(pressures, answer, c
 
 def test_no_limit_can_exceed_the_hard_limit():
     bench = Bench()
-    assert bench.send(SetLimits(1, 1, 1, 500_001, 1)) == [Ack(1, 2, Answer.ABOVE_LIMIT, 2)]
+    assert bench.send(SetLimits(1, (1, 1, 500_001, 1))) == [Ack(1, 2, Answer.ABOVE_LIMIT, 2)]
     assert bench.core.state == ManifoldState.BOOT
     bench.send(LIMITS)
     bench.send(Arm(2))
-    replies = bench.send(SetLimits(3, 1, -1, 1, 1))
+    replies = bench.send(SetLimits(3, (1, -1, 1, 1)))
     assert replies == [Ack(3, 2, Answer.BELOW_ZERO, 1), Event(0, Cause.REFUSED, 1)]
     assert bench.core.set_pressures is None
 
 
 def test_a_tenth_of_a_second_without_commands_vents():
-    bench = Bench(LIMITS, Arm(2), SetPressures(3, 5, 5, 5, 5))
+    bench = Bench(LIMITS, Arm(2), SetPressures(3, (5, 5, 5, 5)))
     assert bench.wait(0.099) == [] and bench.core.set_pressures is not None
     assert bench.wait(0.001) == [Event(100_000, Cause.WATCHDOG, 100)]
     assert bench.core.set_pressures is None
@@ -140,7 +142,7 @@ def test_stop_vents_in_every_state():
         (),
         (LIMITS,),
         (LIMITS, Arm(2)),
-        (LIMITS, Arm(2), SetPressures(3, 9999, 0, 0, 0)),
+        (LIMITS, Arm(2), SetPressures(3, (9999, 0, 0, 0))),
     ):
         bench = Bench(*before)
         state = bench.core.state

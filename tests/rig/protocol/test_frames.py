@@ -31,15 +31,15 @@ from rig.protocol.messages import (
 
 EACH = (
     Hello(1),
-    SetLimits(2, 100, 200, 300, 400),
+    SetLimits(2, (100, 200, 300, 400)),
     Arm(3),
-    SetPressures(65535, 0, 256, 65536, 500_000),
+    SetPressures(65535, (0, 256, 65536, 500_000)),
     Heartbeat(4),
     Stop(5),
     WaveBegin(6, 2000, 500),
     WavePiece(7, 1992, tuple(range(32))),
     WavePlay(8, 0),
-    Ident(1, 1, 2, 3, 2000, 500, 5, 6, 7, 8),
+    Ident(1, 1, 2, 3, 2000, 500, (5, 6, 7, 8)),
     Reading(2**32 - 1, 2**40, 2, 9, (-(2**31), 2**31 - 1, 0, -1, 1, 2, 3, 4)),
     Ack(10, 4, 3, -1),
     Event(2**50, 2, 105),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rig.chambers import SLIDER
 from rig.protocol.messages import Follows, Reading
 from rig.recording.table import AnalogueSensor
 from rig.trial.live_stream import LiveStream
@@ -21,7 +22,7 @@ class CommandCounter:
 
 
 def stream(**settings):
-    found = LiveStream(**settings)
+    found = LiveStream(SLIDER, **settings)
     found.manifold = CommandCounter()
     return found
 
@@ -57,7 +58,7 @@ def test_readings_are_used_only_while_the_valves_follow_set_pressures():
 
 
 def follows(live, number, ms, p):
-    live.follows(Follows(number, round(1000 * ms), *p))
+    live.follows(Follows(number, round(1000 * ms), p))
 
 
 def test_each_reading_has_the_mean_set_pressure_since_the_previous_reading():

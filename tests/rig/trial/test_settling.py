@@ -123,15 +123,15 @@ def test_a_reset_vents_the_simulated_tank():
 def test_a_stalled_simulated_manifold_does_not_trip_its_watchdog():
     """A command waits while the program stalls for 200 ms."""
     rig = SimulatedRig(SetPressureLog())
-    for message in (SetLimits(1, *[100_000] * 4), Arm(2), SetPressures(3, 1, 1, 1, 1)):
+    for message in (SetLimits(1, (100_000,) * 4), Arm(2), SetPressures(3, (1, 1, 1, 1))):
         rig.feed(encode_frame(message), 0)
     for now in range(0, 39_000, 1000):
         rig.tick(now)
-    rig.feed(encode_frame(SetPressures(4, 2, 2, 2, 2)), 238_000)
+    rig.feed(encode_frame(SetPressures(4, (2, 2, 2, 2))), 238_000)
     for now in range(238_000, 290_000, 1000):
         rig.tick(now)
         if now == 250_000:
-            rig.feed(encode_frame(SetPressures(5, 3, 3, 3, 3)), now)
+            rig.feed(encode_frame(SetPressures(5, (3, 3, 3, 3))), now)
     assert rig.core.state == ManifoldState.ARMED and rig.core.set_pressures == (3, 3, 3, 3)
     # The watchdog still detects a silent host, after the stalled time is made up.
     rig.tick(600_000)

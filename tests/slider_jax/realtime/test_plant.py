@@ -74,8 +74,8 @@ def assert_equals_the_simulation(plant, experiment, trial, rtol=1e-10):
     assert readings[-1].ok
     np.testing.assert_allclose([x.t for x in readings], run.t, atol=1e-12)
     found = {
-        "p_front": [x.p_front for x in readings],
-        "p_rear": [x.p_rear for x in readings],
+        "p_front": [x.signed[0] for x in readings],
+        "p_rear": [x.signed[1] for x in readings],
         "thrust": [x.thrust_N for x in readings],
         "recoil": [x.recoil_N for x in readings],
         "tip": [x.tip_m for x in readings],
@@ -168,7 +168,7 @@ def test_chambers_fill_and_vent_with_the_lag(plant):
     filled = plant.advance([1e5, None, None, 5e4], 0.1)
     share = -np.expm1(-0.1 / k)
     np.testing.assert_allclose(filled.pressures, [1e5 * share, 0, 0, 5e4 * share], rtol=1e-9)
-    assert filled.p_front == filled.pressures[0] and filled.p_rear == -filled.pressures[3]
+    assert filled.signed == (filled.pressures[0], -filled.pressures[3])
     vented = plant.advance(VENT, 0.2)
     np.testing.assert_allclose(
         vented.pressures, np.multiply(filled.pressures, np.exp(-0.2 / k)), rtol=1e-9
@@ -206,10 +206,10 @@ def test_a_blocked_chamber_does_not_fill_but_vents(plant):
     held = plant.advance([1e5, None, None, None], 0.05)
     plant.inject("blocked_front_left", 1.0)
     blocked = plant.advance([1e5, None, None, None], 0.5)
-    assert blocked.p_front == pytest.approx(held.p_front, rel=1e-6)
+    assert blocked.signed[0] == pytest.approx(held.signed[0], rel=1e-6)
     reversed_ = plant.advance([None, 1e5, None, None], 1.5)
-    assert reversed_.p_front == pytest.approx(-1e5, rel=1e-6)
-    assert plant.advance([1e5, None, None, None], 2.0).p_front == pytest.approx(0.0, abs=1.0)
+    assert reversed_.signed[0] == pytest.approx(-1e5, rel=1e-6)
+    assert plant.advance([1e5, None, None, None], 2.0).signed[0] == pytest.approx(0.0, abs=1.0)
 
 
 def test_a_changed_tail_equals_an_experiment_with_that_tail(plain, tmp_path):
