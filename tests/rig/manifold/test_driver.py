@@ -8,14 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.chambers import SLIDER
+from rig.chambers import SLIDER, ChamberLayout, PneumaticActuator
 from rig.errors import RigError
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import open_port
-from rig.recording.table import AnalogueSensor
+from rig.protocol.messages import ManifoldState
+from rig.recording.reader import read_recording
+from rig.recording.table import AnalogueSensor, trial_columns
 from rig.scheduling import real_time_priority
-from rig.simulated.manifold import ManifoldCore
+from rig.simulated.manifold import HARD_LIMIT, ManifoldCore
 from rig.simulated.rig import TIP_PER_VOLT, LineFaults, SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import serve_in_thread
@@ -27,6 +29,8 @@ from rig.trial.waveform import ChamberDrive
 LIMITS = PressureLimits.of([250e3], SLIDER.names)
 QUICK = TrialTiming(quiet=0.3, after=0.1, fade=0.0)
 TIP = AnalogueSensor("tip_m", 1, TIP_PER_VOLT)
+THREE_PAIRS = ChamberLayout(tuple(PneumaticActuator(x) for x in ("head", "middle", "rear")))
+ONE_CHAMBER = ChamberLayout((PneumaticActuator("fin", "right", 90e3, "P_Pa"),))
 
 
 @pytest.fixture(autouse=True)
@@ -36,18 +40,26 @@ def before_other_tests():
         yield
 
 
-def rig_on(port, **changes):
+def simulated_rig(layout=SLIDER, faults=LineFaults(noise=100.0)):
+    core = ManifoldCore((HARD_LIMIT,) * len(layout.names))
+    return SimulatedRig(BenchTank(layout), core, faults)
+
+
+def rig_on(port, layout=SLIDER, **changes):
     """Returns a `Rig` on `port`; use it within its manifold's context."""
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     manifold = Manifold(open_port(port), *switches)
+    limits = PressureLimits.of([250e3], layout.names)
     return Rig(
-        manifold, switches, LIMITS, {}, {}, analogue=(TIP,), timing=QUICK, pause=0.05, **changes
+        manifold, switches, limits, {}, {}, analogue=(TIP,), timing=QUICK, pause=0.05, **changes
     )
 
 
-def run_on_simulated_rig(tmp_path, trials, faults=LineFaults(noise=100.0), settings=None):
-    with serve_in_thread(SimulatedRig(BenchTank(), faults=faults)) as served:
-        rig = rig_on(served.path)
+def run_on_simulated_rig(
+    tmp_path, trials, faults=LineFaults(noise=100.0), settings=None, layout=SLIDER
+):
+    with serve_in_thread(simulated_rig(layout, faults)) as served:
+        rig = rig_on(served.path, layout)
         with rig.manifold:
             return run_trials(trials, rig, tmp_path, settings or {})
 
@@ -56,11 +68,23 @@ def read_columns(path):
     return np.genfromtxt(path, delimiter=",", names=True)
 
 
-def test_a_recorded_trial_has_the_chambers_pressures(tmp_path):
+DRIVES = {
+    "two pairs": ChamberDrive("square", 2.0, 100e3, ratios=(1.0, 0.5), phases=(0.0, 0.25)),
+    "three pairs": ChamberDrive(
+        "square", 2.0, 100e3, (1.0, 0.8, 0.5), (0.0, 0.15, 0.3), (0.0, 2e4, 0.0),
+        layout=THREE_PAIRS,
+    ),
+    "one chamber": ChamberDrive("square", 2.0, 100e3, layout=ONE_CHAMBER),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
+def test_a_recorded_trial_has_the_chambers_pressures(drive, tmp_path):
     """The reference is the lag's exact solution for the set pressures that the valves followed."""
-    drive = ChamberDrive("square", 2.0, 100e3, ratios=(1.0, 0.5), phases=(0.0, 0.25))
-    (record,) = run_on_simulated_rig(tmp_path, [PlannedTrial("a", drive, 1.5)])
+    layout = drive.layout
+    (record,) = run_on_simulated_rig(tmp_path, [PlannedTrial("a", drive, 1.5)], layout=layout)
     found = read_columns(tmp_path / "a.csv")
+    assert found.dtype.names == ("t_s", *layout.columns, "tip_m")
     assert record["readings_lost"] == record["frames_damaged"] == 0
     # Tests that run in parallel may delay the commands.
     assert [x for x in record["findings"] if "too busy" not in x] == []
@@ -68,19 +92,23 @@ def test_a_recorded_trial_has_the_chambers_pressures(tmp_path):
     played = read_columns(tmp_path / "a.played.csv")
     fine = np.arange(0.0, 1.5, 1e-4)
     now = np.searchsorted(played["t_s"], fine, side="right") - 1
-    for name, index in (("front", 0), ("rear", 1)):
+    assert played.dtype.names == ("t_s", *layout.set_columns)
+    for index, (column, set_column) in enumerate(
+        zip(layout.columns, layout.set_columns, strict=True)
+    ):
         planned = np.array([drive.signed(t)[index] for t in fine])
-        sets = played[f"set_{name}_Pa"][now]
+        sets = played[set_column][now]
+        assert np.ptp(sets) > 50e3
         # Edges are late by the commands' travel time; no other differences are allowed.
         assert np.mean(sets != planned) < 0.02
         p, expected = 0.0, []
         for p_set in sets:
             expected.append(p)
             p += 1e-4 / 0.05 * (p_set - p)
-        error = found[f"p_{name}_Pa"] - np.interp(found["t_s"], fine, expected)
+        error = found[column] - np.interp(found["t_s"], fine, expected)
         assert np.abs(error).max() < 0.01 * 100e3 and error.std() < 0.003 * 100e3
     tip, follows = [0.0], 1.0 - np.exp(-2e-3 / 0.02)
-    for aim in 2e-7 * (found["p_front_Pa"] + found["p_rear_Pa"])[1:]:
+    for aim in 2e-7 * sum(found[column] for column in layout.columns)[1:]:
         tip.append(tip[-1] + follows * (aim - tip[-1]))
     assert found["tip_m"] == pytest.approx(np.array(tip), abs=3e-4)
 
@@ -193,6 +221,27 @@ def test_an_interrupted_run_resumes_with_the_missing_trials(tmp_path):
     assert record["trial"] == "a" and (tmp_path / RECORDINGS / "a.unfinished-1.h5").exists()
 
 
+def test_a_run_of_an_earlier_version_is_resumed(tmp_path):
+    """Records of earlier versions describe the drive of two pairs by `rear_ratio` and `phase`."""
+    drive = ChamberDrive("sine", 2.0, 50e3, (1.0, 0.9), (0.0, 0.1))
+    run_on_simulated_rig(tmp_path, [PlannedTrial("a", drive, 0.3)])
+    path = tmp_path / RECORDINGS / "a.json"
+    record = json.loads(path.read_text())
+    record["drive"] = {
+        "waveform": "sine", "frequency": 2.0, "amplitude": 50e3, "rear_ratio": 0.9, "phase": 0.1,
+        "rise": 0.1,
+    }  # fmt: skip
+    path.write_text(json.dumps(record))
+    run_on_simulated_rig(tmp_path, [PlannedTrial("a", drive, 0.3)])
+    assert not list((tmp_path / RECORDINGS).glob("a.unfinished*"))
+    for other in (
+        ChamberDrive("sine", 2.0, 50e3, (1.0, 0.8), (0.0, 0.1)),
+        ChamberDrive("sine", 2.0, 50e3, (1.0, 0.9), (0.0, 0.1), (0.0, 1e3)),
+    ):
+        with pytest.raises(RigError, match=r"other values of trial\.drive\.(ratios|biases)"):
+            run_on_simulated_rig(tmp_path, [PlannedTrial("a", other, 0.3)])
+
+
 def test_a_bad_line_loses_readings_and_the_record_reports_it(tmp_path):
     faults = LineFaults(flipped=1e-4, dropped=1e-4, inserted=1e-4)
     (record,) = run_on_simulated_rig(
@@ -255,11 +304,15 @@ def test_a_recorded_drive_is_linear_between_its_samples():
         ChamberDrive("recorded", times=np.array([0.0, 1.0]), recorded=np.full((2, 2), np.nan))
 
 
-def test_a_waveform_is_uploaded_and_played_by_the_manifold():
-    device = SimulatedRig(BenchTank(lag=1e-3))
-    samples = [(1000.0 * i, 0.0, 0.0, 500.0 * i) for i in range(21)]
+@pytest.mark.parametrize("layout", [SLIDER, THREE_PAIRS])
+def test_a_waveform_is_uploaded_and_played_by_the_manifold(layout):
+    """With six chambers, fewer samples fit into a frame."""
+    device = simulated_rig(layout, LineFaults())
+    device.tank.lag = 1e-3
+    rest = (0.0,) * (len(layout.names) - 2)
+    samples = [(1000.0 * i, *rest, 500.0 * i) for i in range(21)]
     with serve_in_thread(device) as served, Manifold(open_port(served.path)) as manifold:
-        manifold.configure(LIMITS)
+        manifold.configure(PressureLimits.of([250e3], layout.names))
         with pytest.raises(RigError, match="samples; allowed 2 to 2000"):
             manifold.upload(samples[:1], 0.01)
         manifold.upload(samples, 0.01)
@@ -272,13 +325,44 @@ def test_a_waveform_is_uploaded_and_played_by_the_manifold():
                 highest = max(highest, manifold.latest.channels[0])
             time.sleep(0.02)
         assert highest == pytest.approx(20_000, rel=0.01)
-        assert device.core.set_pressures == (20_000, 0, 0, 10_000)
+        assert device.core.set_pressures == (20_000, *rest, 10_000)
 
 
 def test_another_protocol_is_refused():
     device = SimulatedRig(BenchTank(), ManifoldCore(protocol=7, version=(2, 3, 4)))
     with serve_in_thread(device) as served, pytest.raises(RigError, match="2.3.4 uses protocol 7"):
         Manifold(open_port(served.path)).__enter__()
+
+
+@pytest.mark.parametrize(
+    ("robot", "manifold", "message"),
+    [
+        (
+            SLIDER,
+            THREE_PAIRS,
+            r"chambers: the robot has 4 \(front_left, .*, rear_right\), but the manifold has 6; "
+            "give the experiment file of the robot that is connected",
+        ),
+        (ONE_CHAMBER, SLIDER, r"chambers: the robot has 1 \(fin\), but the manifold has 4; give"),
+    ],
+)
+def test_a_robot_with_another_number_of_chambers_is_refused(robot, manifold, message, tmp_path):
+    device = simulated_rig(manifold)
+    with serve_in_thread(device) as served:
+        rig = rig_on(served.path, robot)
+        trial = PlannedTrial("a", ChamberDrive("sine", 2.0, 50e3, layout=robot), 0.3)
+        with rig.manifold, pytest.raises(RigError, match=message):
+            run_trials([trial], rig, tmp_path, {})
+    assert not list((tmp_path / RECORDINGS).iterdir())
+    assert device.core.state == ManifoldState.BOOT
+
+
+def test_a_recording_of_a_manifold_with_another_number_of_chambers_is_refused(tmp_path):
+    drive = ChamberDrive("sine", 2.0, 50e3, layout=ONE_CHAMBER)
+    run_on_simulated_rig(tmp_path, [PlannedTrial("a", drive, 0.3)], layout=ONE_CHAMBER)
+    recording = read_recording(tmp_path / RECORDINGS / "a.h5")
+    with pytest.raises(RigError, match=r"the manifold has 1, but the robot has 4 \(front_left, "):
+        trial_columns(recording, 0, 0.3, SLIDER, {})
 
 
 def test_a_limit_above_the_hard_limit_is_refused():

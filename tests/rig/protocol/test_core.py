@@ -32,8 +32,8 @@ REST = (0, 0, 0, 0, 600_000, 0, 0, 0)
 class Bench:
     """A core with a virtual clock; `replies` are its last messages that are not readings."""
 
-    def __init__(self, *messages):
-        self.core, self.now, self._decoder = ManifoldCore(), 0, FrameDecoder()
+    def __init__(self, *messages, core=None):
+        self.core, self.now, self._decoder = core or ManifoldCore(), 0, FrameDecoder()
         self.readings = []
         self.replies = self._decode(self.core.tick(0, REST))
         for message in messages:
@@ -193,6 +193,22 @@ def test_a_waveform_of_wrong_size_or_above_its_limits_is_refused(message, answer
     bench = Bench(LIMITS, WaveBegin(2, 2, 2000))
     (ack,) = bench.send(message)
     assert ack.answer == answer
+
+
+def test_a_manifold_ignores_commands_for_another_number_of_chambers():
+    bench = Bench(core=ManifoldCore((5000,) * 3))
+    assert bench.send(Hello(1))[0].limits == (5000,) * 3
+    for wrong in (SetLimits(1, (9,) * 4), SetPressures(1, (9,) * 2), WavePiece(1, 0, (9,) * 4)):
+        assert bench.send(wrong) == []
+    assert bench.core.damaged == 3
+    bench.send(SetLimits(2, (1000, 2000, 3000)))
+    bench.send(WaveBegin(3, 2, 2000))
+    assert bench.send(WavePiece(4, 0, (1, 2, 3, 4, 5, 6))) == [Ack(4, 8, Answer.DONE, 0)]
+    assert bench.send(Arm(5))[1] == Follows(0, 0, (0, 0, 0))
+    bench.send(WavePlay(6, 1))
+    assert bench.core.set_pressures == (1, 2, 3)
+    bench.wait(0.002, (0, 0, 0, 600_000, 0, 0, 0))
+    assert bench.core.set_pressures == (4, 5, 6)
 
 
 def test_readings_are_numbered_and_a_late_pass_skips_none():

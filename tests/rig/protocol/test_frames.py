@@ -1,5 +1,6 @@
 """The manifold's frames: no damaged frame is accepted, and no intact frame is missed."""
 
+import hashlib
 import random
 import struct
 import zlib
@@ -12,6 +13,7 @@ from rig.protocol.messages import (
     Ack,
     Arm,
     Event,
+    Follows,
     FrameDecoder,
     Heartbeat,
     Hello,
@@ -26,8 +28,11 @@ from rig.protocol.messages import (
     decode_frame,
     encode_frame,
     pack_message,
+    samples_per_piece,
     unpack_message,
 )
+from tests.support.rig_dialogues import Dialogue
+from tests.support.rig_vectors import VECTORS
 
 EACH = (
     Hello(1),
@@ -75,6 +80,34 @@ def test_every_message_is_recovered_from_its_frame(message):
     frame = encode_frame(message)
     assert frame[-1] == 0 and 0 not in frame[:-1] and len(frame) <= LONGEST_FRAME + 1
     assert decode_frame(frame[:-1]) == message
+
+
+@pytest.mark.parametrize("chambers", [1, 3, 6, 38])
+def test_the_length_of_a_message_gives_the_number_of_chambers(chambers):
+    p = tuple(range(-1, chambers - 1))
+    for message in (
+        *(SetLimits(1, p), SetPressures(2, p), Ident(1, 1, 2, 3, 2000, 500, p)),
+        *(Reading(1, 2, 3, 4, (*p, 5, 6, 7, 8)), Follows(1, 2, p)),
+        WavePiece(3, 4, p * samples_per_piece(chambers)),
+    ):
+        frame = encode_frame(message)
+        assert len(frame) <= LONGEST_FRAME + 1 and decode_frame(frame[:-1]) == message
+    assert Reading(1, 2, 3, 4, (*p, 5, 6, 7, 8)).pressures == p
+
+
+@pytest.mark.parametrize(("message", "text"), VECTORS)
+def test_frames_of_four_chambers_have_the_bytes_of_recorded_trials(message, text):
+    assert encode_frame(message).hex() == text
+    assert decode_frame(bytes.fromhex(text)[:-1]) == message
+
+
+def test_a_dialogue_with_four_chambers_has_the_bytes_of_earlier_versions():
+    """The digests were computed with the version in which every message had four pressures."""
+    talk = Dialogue(0).run(500)
+    asked = hashlib.sha256(b"".join(payload for _, _, payload in talk.requests)).hexdigest()
+    sent = hashlib.sha256(b"".join(reply.sent for reply in talk.expected)).hexdigest()
+    assert asked == "5bdfd499e6c24f401b75fb27a6c7fbb67d650f2941c6c310bcf901c3db0fefd1"
+    assert sent == "a2ade5bb0cf5d3498ee0bfb051e06c438ca787e90451e967058534a4bff87f64"
 
 
 def test_a_frame_equals_that_of_the_protocol_page():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.chambers import SLIDER
+from rig.chambers import SLIDER, ChamberLayout, PneumaticActuator
 from rig.protocol.messages import Follows, Reading
 from rig.recording.table import AnalogueSensor
 from rig.trial.live_stream import LiveStream
@@ -21,8 +21,8 @@ class CommandCounter:
         return self.seq
 
 
-def stream(**settings):
-    found = LiveStream(SLIDER, **settings)
+def stream(layout=SLIDER, **settings):
+    found = LiveStream(layout, **settings)
     found.manifold = CommandCounter()
     return found
 
@@ -80,6 +80,19 @@ def test_each_reading_has_the_mean_set_pressure_since_the_previous_reading():
     assert found.measured[0].tolist() == [19.0, 29.0]
     assert found.measured[1].tolist() == [-5.0] * 2 and np.isnan(found.measured[2:]).all()
     assert len(live.take().device_s) == 0
+
+
+def test_the_stream_has_the_actuators_of_the_robot():
+    layout = ChamberLayout((PneumaticActuator("head"), PneumaticActuator("fin", "right")))
+    live = stream(layout, analogue=(AnalogueSensor("tip_m", 1, 0.1, 0.0),))
+    assert live.columns == ("p_head_Pa", "p_fin_Pa", "thrust_N", "recoil_N", "tip_m")
+    command = live.set((100.0, 0.0, 30.0))
+    for i in range(2):
+        arrives(live, i, command=command, p=(9, 1, 5), tip=700_000)
+    found = live.take()
+    assert found.set_pressure.tolist() == [[100.0, 100.0], [-30.0, -30.0]]
+    assert found.measured[:2].tolist() == [[8.0, 8.0], [-5.0, -5.0]]
+    assert found.measured[4] == pytest.approx([0.07, 0.07])
 
 
 def test_a_lost_change_is_inferred_from_the_command_number_of_a_reading():
