@@ -78,6 +78,7 @@ def rig_run(
             print("only pressures are measured; --rig can add other sensors", file=sys.stderr)
         ident = machine.manifold.ident
         assert ident is not None
+        limits = machine.limits.within(ident)
         rate = table.sensors.sample_rate
         if "sensors" in table.model_fields_set and abs(rate - ident.rate) > 0.05 * ident.rate:
             raise InputError.value(
@@ -86,7 +87,7 @@ def rig_run(
                 f"{ident.rate} Hz, the manifold's",
             )
         for planned in trials:
-            planned.check(machine.limits.within(ident))
+            planned.check(limits)
         folder = output_folder(out)
         # This check comes before the first write: it refuses finished trials with other settings.
         for planned in trials:

@@ -9,18 +9,24 @@ import numpy as np
 import pytest
 
 from calibration.pressure_logs.read import read_log
-from rig.cli.shared import declare_swing, install_experiment
+from rig.cli.shared import declare_swing, install_experiment, layout_in
 from rig.errors import RigError
 from rig.protocol.messages import Reading, SetPressures, encode_frame
 from rig.recording.decode import drive_span
 from rig.recording.reader import read_recording
 from rig.recording.table import AnalogueSensor
 from rig.recording.writer import Recorder
+from rig.scheduling import real_time_priority
+from rig.simulated.manifold import HARD_LIMIT, ManifoldCore
+from rig.simulated.rig import SimulatedRig
+from rig.simulated.tank import BenchTank
+from rig.simulated.terminal import serve_in_thread
 from rig.trial.session import changed_settings
 from rig.trial.settling import Stillness
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from tests.support.command import served, slider
+from tests.support.data import ROOT
 from tests.support.rig_experiment import EXPERIMENT
 
 
@@ -273,6 +279,62 @@ def test_a_limit_is_checked_before_anything_moves(rig, tmp_path):
     done = slider("rig", "run", path, "--port", rig[0], "--out", out)
     assert done.returncode == 2 and not out.exists()
     assert "trial a: set pressure of front_left: given 260000 Pa; allowed 0 to" in done.stderr
+
+
+EEL = ROOT / "examples" / "eel" / "experiment.toml"
+
+
+@pytest.mark.parametrize(
+    "words", [("check", EEL), ("run", EEL, "--out", "{out}")], ids=["check", "run"]
+)
+def test_a_robot_with_another_number_of_chambers_is_refused(words, rig, tmp_path):
+    out = tmp_path / "out"
+    done = slider("rig", *(str(x).format(out=out) for x in words), "--port", rig[0],
+                  *(("--limit", "400e3") if words[0] == "run" else ()))  # fmt: skip
+    assert done.returncode == 2 and not out.exists()
+    assert "chambers: the robot has 6 (head_left, head_right, " in done.stderr
+    assert "but the manifold has 4; give the experiment file" in done.stderr
+
+
+def test_the_eel_is_checked_measured_and_read_again(tmp_path):
+    """A bench with three pairs of chambers. The last chamber leaks."""
+    path, out = tmp_path / "eel.toml", tmp_path / "out"
+    text = EEL.read_text().replace("duration = 3.75 ", "duration = 1.0 ")
+    text = text[: text.index('[[trials]]\nfile = "towed.csv"')].replace("250.0 ", "500.0 ")
+    path.write_text(text)
+    layout, rig_file = layout_in(path), tmp_path / "rig.toml"
+    bench = BenchTank(layout)
+    bench.leak[-1] = 2.0
+    device = SimulatedRig(bench, ManifoldCore((HARD_LIMIT,) * len(layout.names)))
+    rig_file.write_text('[[analogue]]\ncolumn = "tip_m"\ninput = 1\nscale = 0.1\n')
+    with real_time_priority(), serve_in_thread(device) as simulated:
+        arguments = ("--port", simulated.path, "--rig", rig_file)
+        check = slider("rig", "check", path, *arguments, "--out", tmp_path / "check.json")
+        done = slider("rig", "run", path, *arguments, "--out", out)
+    assert check.returncode == 1, check.stderr
+    assert "rear_right reached 45.5 kPa instead of 50.0: possibly a leak" in check.stdout
+    held = json.loads((tmp_path / "check.json").read_text())["held"]
+    assert tuple(x["name"] for x in held) == layout.names
+    assert [x["reached"] for x in held[:-1]] == pytest.approx([50e3] * 5, rel=1e-3)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"head +-?\d+\.\d middle +-?\d+\.\d rear +-?\d+\.\d kPa", done.stderr)
+    found = np.genfromtxt(out / "slow.csv", delimiter=",", names=True)
+    assert found.dtype.names == ("t_s", *layout.columns, "tip_m")
+    # Until its delay, a chamber follows -200 kPa, and then 200 kPa, with the lag of 50 ms.
+    at = np.argmin(np.abs(found["t_s"] - 0.45))
+    for column, late in zip(layout.columns, (0.0, 0.1875, 0.375), strict=True):
+        before = 1.0 - np.exp(-late / 0.05)
+        expected = 200e3 * (1.0 - (1.0 + before) * np.exp(-(found["t_s"][at] - late) / 0.05))
+        assert found[column][at] == pytest.approx(expected, abs=15e3)  # the commands may be late
+    again = tmp_path / "again"
+    done = slider("rig", "replay", out, "--out", again)
+    assert done.returncode == 0, done.stderr
+    for name in ("slow.csv", "slow.played.csv"):
+        assert (again / name).read_bytes() == (out / name).read_bytes()
+    (out / "experiment.toml").unlink()
+    done = slider("rig", "replay", out, "--out", tmp_path / "nothing")
+    assert done.returncode == 2
+    assert "the manifold has 6, but the robot has 4 (front_left, " in done.stderr
 
 
 def test_a_check_of_a_bad_line_reports_damaged_frames(tmp_path):

@@ -9,6 +9,7 @@ from slider_jax.actuation import FirstOrderLag, SquareWave
 from slider_jax.effects.library import LIBRARY
 from slider_jax.effects.pneumatics.regulator_gain import RegulatorGain
 from slider_jax.errors import InputError
+from slider_jax.experiment.drive import delays_of, ratios_of
 from slider_jax.experiment.load import load
 from slider_jax.realtime.causality import Held, check_commands
 from slider_jax.realtime.plant import Plant
@@ -49,33 +50,36 @@ def tables(effects):
     return "[[trials]]", "\n".join([*lines, "[[trials]]"])
 
 
-def sides(front, rear):
-    """Returns the set pressures of the four chambers for two signed pressures."""
-    return [max(front, 0.0), max(-front, 0.0), max(rear, 0.0), max(-rear, 0.0)]
+def set_pressures(plant, experiment, trial, steps):
+    """Returns a controller's set pressures (steps, chambers) at the start of each step of H.
 
-
-def set_pressures(trial, steps):
-    """Returns a controller's set pressures (steps, 4) at the start of each step of H."""
+    The waves are not cut off at the limits of the actuators, because the plant does this.
+    """
     middle = (jnp.arange(float(steps)) + 0.5) * H
-    waves = (
-        SquareWave(trial.frequency, trial.amplitude),
-        SquareWave(trial.frequency, trial.amplitude * trial.rear_ratio, trial.phase),
-    )
-    front, rear = (jax.vmap(lambda t, w=w: w.segment(t, t + 1e-6).a0)(middle) for w in waves)
-    return [sides(*pair) for pair in zip(front.tolist(), rear.tolist(), strict=True)]
+    count = len(experiment.chambers)
+    both = zip(ratios_of(trial, count), delays_of(trial, count), strict=True)
+    waves = [SquareWave(trial.frequency, trial.amplitude * ratio, delay) for ratio, delay in both]
+    signed = [jax.vmap(lambda t, w=w: w.segment(t, t + 1e-6).a0)(middle).tolist() for w in waves]
+    rows = [
+        [max(-p, 0.0) if right else max(p, 0.0) for p in signed[row]]
+        for row, right in plant.chambers.values()
+    ]
+    return list(zip(*rows, strict=True))
 
 
 def assert_equals_the_simulation(plant, experiment, trial, rtol=1e-10):
     run = simulate_trial(experiment, trial)
     assert run.grid.h == pytest.approx(H, rel=1e-12)
     readings = [plant.begin(trial)]
-    for asked in set_pressures(run.trial, run.grid.steps):
+    for asked in set_pressures(plant, experiment, run.trial, run.grid.steps):
         readings.append(plant.advance(asked, H))
     assert readings[-1].ok
     np.testing.assert_allclose([x.t for x in readings], run.t, atol=1e-12)
     found = {
-        "p_front": [x.signed[0] for x in readings],
-        "p_rear": [x.signed[1] for x in readings],
+        **{
+            f"p_{name}": [x.signed[i] for x in readings]
+            for i, name in enumerate(experiment.chamber_names)
+        },
         "thrust": [x.thrust_N for x in readings],
         "recoil": [x.recoil_N for x in readings],
         "tip": [x.tip_m for x in readings],
@@ -111,6 +115,59 @@ CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
 def test_a_plant_driven_sample_by_sample_equals_the_simulation(plain, trial):
     experiment, plant = plain
     assert_equals_the_simulation(plant, experiment, trial)
+
+
+def other_chambers(*actuators):
+    """Returns the changes to the small experiment's text that replace its two pairs of chambers.
+
+    An actuator is its name and further lines.
+    """
+    spans = np.linspace(0.02, 0.28, len(actuators) + 1).tolist()
+    listed = [
+        f'[[actuators]]\nkind = "pneumatic"\nname = "{name}"\nspan = [{near}, {far}]\n{more}\n'
+        for (name, more), near, far in zip(actuators, spans[:-1], spans[1:], strict=True)
+    ]
+    pairs = "front_chamber = [0.02, 0.145]\nrear_chamber = [0.155, 0.28]\n"
+    return (pairs, ""), ("[sensors]", "\n".join([*listed, "[sensors]"]))
+
+
+OWN_WAVES = ("rear_ratio = 0.9\nphase = 0.1", "ratios = [1.0, 0.8, 0.9]\nphases = [0.0, 0.1, 0.2]")
+
+
+def test_a_plant_with_three_pairs_equals_the_simulation(tmp_path):
+    """Also the limit of an actuator, its own lag, and an effect on the sensor of each pressure."""
+    three = other_chambers(("head", "limit = 1.4e5"), ("middle", "k_ratio = 1.3"), ("rear", ""))
+    sensor = tables({"pressure_sensor_lag": {"tau": 0.02}})
+    experiment = load(write_small_experiment(tmp_path, *three, OWN_WAVES, sensor))
+    plant = Plant(experiment, step=H)
+    assert list(plant.chambers) == [
+        *("head_left", "head_right", "middle_left", "middle_right", "rear_left", "rear_right")
+    ]
+    assert_equals_the_simulation(plant, experiment, 0)
+    plant.inject("leak_middle_right", 4.0)
+    held = plant.advance([None, None, 2e4, 6e4, None, None], 3.0)
+    leaking = 2e4 + 4e4 / (1.0 + 4.0 * 1.3 * 0.087)
+    np.testing.assert_allclose(held.pressures, [0.0, 0.0, 2e4, leaking, 0.0, 0.0], atol=1.0)
+    np.testing.assert_allclose(held.signed, [0.0, 2e4 - leaking, 0.0], atol=1.0)
+
+
+def test_a_plant_with_single_chambers_equals_the_simulation(tmp_path):
+    single = other_chambers(("fin", 'side = "left"'), ("belly", 'side = "right"'))
+    experiment = load(write_small_experiment(tmp_path, *single))
+    plant = Plant(experiment, step=H)
+    assert list(plant.chambers) == ["fin", "belly"]
+    assert_equals_the_simulation(plant, experiment, 0)
+    plant.begin(0)
+    plant.inject("blocked_belly", 1.0)
+    blocked = plant.advance([1e5, 1e5], 2.0)
+    np.testing.assert_allclose(blocked.pressures, [1e5, 0.0], atol=1.0)
+    plant.inject("blocked_belly", 0.0)
+    filled = plant.advance([1e5, 1e5], 2.0)
+    np.testing.assert_allclose(filled.signed, [1e5, -1e5], atol=1.0)
+    with pytest.raises(InputError, match="set pressures: given 4 values; allowed 2, one for each "):
+        plant.advance(VENT, H)
+    with pytest.raises(InputError, match="fault: .*leak_belly_left"):
+        plant.inject("leak_belly_left", 1.0)
 
 
 @pytest.mark.slow
