@@ -1,5 +1,6 @@
-// Firmware of a manifold with four chambers on a Teensy 4.x. docs/reference/rig_protocol.md defines the protocol.
-// Before you flash the firmware, read rig/firmware/README.md on pins, valves without current, and calibration.
+// Firmware of a manifold on a Teensy 4.x. docs/reference/rig_protocol.md defines the protocol; `CHAMBERS` in messages.h
+// is the number of chambers. Before you flash the firmware, read rig/firmware/README.md on pins, valves without
+// current, and calibration.
 
 #include <Watchdog_t4.h>  // comes with Teensyduino
 

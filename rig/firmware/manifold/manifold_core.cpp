@@ -99,7 +99,7 @@ void ManifoldCore::obey(const uint8_t* body, size_t size, uint64_t now_us) {
             ack(body, begin(get_u16(fields), get_u32(fields + 2)));
             return;
         case WAVE_PIECE:
-            ack(body, take(get_u16(fields), fields + 2, (size - 5) / 16));
+            ack(body, take(get_u16(fields), fields + 2, (size - 5) / SAMPLE_BYTES));
             return;
         case WAVE_PLAY:
             verdict = start(get_u32(fields), now_us);
@@ -150,13 +150,13 @@ ManifoldCore::Verdict ManifoldCore::take(uint16_t first, const uint8_t* pressure
     if (state_ != State::READY && state_ != State::ARMED) return {Answer::WRONG_STATE, 0};
     if (first + samples > samples_) return {Answer::WRONG_PLACE, 0};
     for (size_t i = 0; i < samples; ++i) {
-        const Verdict verdict = outside(pressures + 16 * i, limits_);
+        const Verdict verdict = outside(pressures + SAMPLE_BYTES * i, limits_);
         if (verdict.answer != Answer::DONE) {
             samples_ = 0;
             return verdict;
         }
         for (size_t k = 0; k < CHAMBERS; ++k)
-            wave_[first + i].pressure[k] = get_i32(pressures + 16 * i + 4 * k);
+            wave_[first + i].pressure[k] = get_i32(pressures + SAMPLE_BYTES * i + 4 * k);
     }
     return {};
 }

@@ -33,7 +33,7 @@ public:
     // Runs the main loop once with the newest channels.
     void tick(uint64_t now_us, const int32_t (&channels)[CHANNELS]);
 
-    // Set pressures (4,) [Pa] that the valves follow; null while all vent.
+    // Set pressures (CHAMBERS,) [Pa] that the valves follow; null while all vent.
     const int32_t* set_pressures() const {
         return state_ == State::ARMED || state_ == State::PLAYING ? set_ : nullptr;
     }

@@ -12,11 +12,11 @@ bool from_host(const uint8_t* body, size_t size) {
             return size == 3;
         case SET_LIMITS:
         case SET_PRESSURES:
-            return size == 19;
+            return size == 3 + SAMPLE_BYTES;
         case WAVE_BEGIN:
             return size == 9;
         case WAVE_PIECE:
-            return size >= 5 + 16 && size <= 5 + 8 * 16 && (size - 5) % 16 == 0;
+            return size >= 5 + SAMPLE_BYTES && size <= 5 + 8 * SAMPLE_BYTES && (size - 5) % SAMPLE_BYTES == 0;
         case WAVE_PLAY:
             return size == 7;
         default:

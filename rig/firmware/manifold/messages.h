@@ -8,7 +8,8 @@ namespace slider {
 
 constexpr uint16_t PROTOCOL = 1;
 constexpr size_t CHAMBERS = 4;
-constexpr size_t CHANNELS = 8;  // gauge pressures of chambers and supply [Pa]; three inputs [uV]
+constexpr size_t SAMPLE_BYTES = 4 * CHAMBERS;  // one pressure i32 for each chamber
+constexpr size_t CHANNELS = CHAMBERS + 4;  // gauge pressures of chambers and supply [Pa]; three inputs [uV]
 constexpr uint64_t WATCHDOG_US = 100000;
 
 enum class State : uint8_t { BOOT, READY, ARMED, PLAYING, FAULT };
@@ -46,9 +47,9 @@ inline int32_t get_i32(const uint8_t* at) {
     return static_cast<int32_t>(get_u32(at));
 }
 
-// A message under construction: `bytes[0 .. size)`. A Reading is the manifold's longest message, 48 bytes.
+// A message under construction: `bytes[0 .. size)`. A Reading is the manifold's longest message.
 struct Body {
-    uint8_t bytes[48];
+    uint8_t bytes[16 + 4 * CHANNELS];
     size_t size = 0;
 
     explicit Body(Type type) { u8(type); }
