@@ -12,6 +12,7 @@ value per window. Source: Page, E. S. (1954), Continuous inspection schemes, Bio
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,7 +20,8 @@ import numpy as np
 
 from calibration.inference.noise import channel_noise, signal_shares
 from calibration.twin.block import FAULT_HYPOTHESES
-from slider_jax.channels import SLIDER_CHANNELS
+from slider_jax.channels import Channel, ChannelSet
+from slider_jax.experiment.actuator_tables import ChamberTable
 from slider_jax.experiment.sensor_tables import SensorsTable
 
 REFERENCE, THRESHOLD = 2.0, 6.0
@@ -29,9 +31,9 @@ MAX_DEVIATION = 5.0
 MIN_SPREAD = 0.25
 """This value replaces a smaller standard deviation of the logarithm. An estimate from few windows
 may be too small."""
-MAX_LEARNED_SHARE = (0.1, 0.1, 0.4, 0.4, 0.2)
-"""Largest learned `share` of each channel. A larger residual indicates a wrong model."""
-MAX_MISFIT = (0.04, 0.04, 0.25, 0.12, 0.12)
+MAX_LEARNED_SHARE = {"pressure": 0.1, "thrust": 0.4, "recoil": 0.4, "tip": 0.2}
+"""Largest learned `share` of each sensor. A larger residual indicates a wrong model."""
+MAX_MISFIT = {"pressure": 0.04, "thrust": 0.25, "recoil": 0.12, "tip": 0.12}
 """If the relative residual (rms/S) of a channel in the first windows exceeds this value, a misfit
 is reported. With a calibrated model, the relative residual is 0.01 for the pressures, 0.15 for
 thrust, 0.05 for recoil and tip. With a leak of a fifth of a valve's flow, it is 0.09 for the
@@ -46,6 +48,11 @@ MIN_EXPLAINED = 0.4
 """A cause is named if it explains at least this fraction of the residual's mean square."""
 
 
+def sensor_of(channel: Channel) -> str:
+    """Returns the key of a channel in `MAX_LEARNED_SHARE` and `MAX_MISFIT`."""
+    return "pressure" if channel.kind == "pressure" else channel.name
+
+
 def run_length(reference: float, threshold: float, shift: float = 0.0) -> float:
     """Returns the mean number of windows until an alarm, for independent values N(`shift`, 1).
 
@@ -58,7 +65,7 @@ def run_length(reference: float, threshold: float, shift: float = 0.0) -> float:
 
 
 class Window(NamedTuple):
-    """The data of some consecutive blocks, with the channels `SLIDER_CHANNELS`."""
+    """The data of some consecutive blocks, with the channels of `block.live_channels`."""
 
     residual: np.ndarray
     """Measured minus predicted readings (channels, n). A residual that is not tested is NaN."""
@@ -69,7 +76,12 @@ class Window(NamedTuple):
     derivatives: np.ndarray
     """Derivatives (parameters, channels, n) of `model` with respect to `block.PARAMETERS`."""
     faulty: np.ndarray
-    """Pressures (faults, 2, n) [Pa] with each of `FAULT_HYPOTHESES`."""
+    """Pressures (faults, actuators, n) [Pa] with each of `FAULT_HYPOTHESES`."""
+
+    @property
+    def pressures(self) -> int:
+        """Number of pressures, which are the first channels."""
+        return self.faulty.shape[1]
 
     @property
     def size(self) -> np.ndarray:
@@ -89,17 +101,17 @@ class Window(NamedTuple):
         return np.where(self.sufficient, total / np.maximum(finite.sum(axis=1), 1), np.nan)
 
 
-def channel_misfits(windows: list[Window]) -> dict[str, tuple[float, float]]:
+def channel_misfits(channels: ChannelSet, windows: list[Window]) -> dict[str, tuple[float, float]]:
     """Returns rms of the residual, and rms/S, for channels whose rms/S exceeds `MAX_MISFIT`."""
     squares = np.array([w.mean_square for w in windows])
     sizes = np.array([w.size**2 for w in windows])
     found = {}
-    for i, channel in enumerate(SLIDER_CHANNELS):
+    for i, channel in enumerate(channels.values()):
         if np.isfinite(squares[:, i]).any():
             rms = math.sqrt(np.nanmean(squares[:, i]))
             share = rms / max(math.sqrt(sizes[:, i].mean()), 1e-300)
-            if share > MAX_MISFIT[i]:
-                found[channel] = (rms, share)
+            if share > MAX_MISFIT[sensor_of(channel)]:
+                found[channel.name] = (rms, share)
     return found
 
 
@@ -114,36 +126,43 @@ class Bands:
     noise: np.ndarray
     share: np.ndarray
     reference_size: np.ndarray
-    mean: np.ndarray = field(default_factory=lambda: np.zeros(5))
+    mean: np.ndarray = field(default_factory=lambda: np.zeros(()))
     """Mean (channels,) of the logarithm over windows without a fault."""
-    spread: np.ndarray = field(default_factory=lambda: np.full(5, MIN_SPREAD))
+    spread: np.ndarray = field(default_factory=lambda: np.array(MIN_SPREAD))
     """Standard deviation (channels,) of the logarithm over windows without a fault."""
 
+    def __post_init__(self) -> None:
+        self.mean = np.full(self.noise.shape, self.mean)
+        self.spread = np.full(self.noise.shape, self.spread)
+
     @classmethod
-    def declared(cls, sensors: SensorsTable, windows: list[Window]) -> "Bands":
+    def declared(
+        cls, sensors: SensorsTable, channels: ChannelSet, windows: list[Window]
+    ) -> "Bands":
         """Returns bands for the declared noise. White noise that is not declared is estimated."""
         values = np.concatenate([w.measured for w in windows], axis=1)
         size = np.sqrt(np.mean([w.size**2 for w in windows], axis=0))
         noise = MIN_NOISE * np.maximum(size, 1e-12)
-        for i, channel in enumerate(SLIDER_CHANNELS):
+        for i, channel in enumerate(channels.values()):
             if np.isfinite(values[i]).sum() >= MIN_SAMPLES:
-                sensor = channel_noise(sensors, SLIDER_CHANNELS[channel], values[i])
+                sensor = channel_noise(sensors, channel, values[i])
                 noise[i] = max(noise[i], math.hypot(sensor.white, sensor.slow))
-        shares = [signal_shares(sensors, x) for x in SLIDER_CHANNELS.values()]
+        shares = [signal_shares(sensors, x) for x in channels.values()]
         share = np.array([math.hypot(*x) for x in shares])
         return cls(noise, share, size)
 
     @classmethod
-    def learned(cls, sensors: SensorsTable, windows: list[Window]) -> "Bands":
+    def learned(cls, sensors: SensorsTable, channels: ChannelSet, windows: list[Window]) -> "Bands":
         """Returns the declared bands, widened to the residuals of the given windows."""
-        bands = cls.declared(sensors, windows)
+        bands = cls.declared(sensors, channels, windows)
+        largest = [MAX_LEARNED_SHARE[sensor_of(x)] for x in channels.values()]
         squares = np.array([w.mean_square for w in windows])
         sizes = np.array([w.size**2 for w in windows])
         for i in np.flatnonzero(np.isfinite(squares).sum(axis=0) >= 3):
             finite = np.isfinite(squares[:, i])
             mean_square, S2 = squares[finite, i].mean(), sizes[finite, i].mean()
             share = math.sqrt(max(mean_square - bands.noise[i] ** 2, 0.0) / max(S2, 1e-300))
-            bands.share[i] = max(bands.share[i], min(share, MAX_LEARNED_SHARE[i]))
+            bands.share[i] = max(bands.share[i], min(share, largest[i]))
         logs = np.array([bands.logarithm(w) for w in windows])
         for i in np.flatnonzero(np.isfinite(logs).sum(axis=0) >= 3):
             x = logs[np.isfinite(logs[:, i]), i]
@@ -189,11 +208,11 @@ class SequentialTest:
     A CUSUM is limited to twice the threshold, so that an alarm ends soon after the fault ends.
     """
 
-    def __init__(self, bands: Bands):
-        self.bands = bands
-        self.cusum = np.zeros(5)
+    def __init__(self, bands: Bands, channels: ChannelSet, chambers: Sequence[ChamberTable]):
+        self.bands, self._channels, self._chambers = bands, channels, chambers
+        self.cusum = np.zeros(len(channels))
         self.alarm = NO_ALARM
-        self._pressures = np.zeros((3, len(FAULT_HYPOTHESES), 2))
+        self._pressures = np.zeros((3, len(FAULT_HYPOTHESES), len(chambers)))
         self._body, self._pull, self._normal = 0.0, np.zeros(3), np.zeros((3, 3))
 
     def inside(self, window: Window) -> np.ndarray:
@@ -212,30 +231,31 @@ class SequentialTest:
         if not on.any():
             self.alarm = NO_ALARM
             return
-        channels = tuple(c for c, x in zip(SLIDER_CHANNELS, on, strict=True) if x)
+        channels = tuple(c for c, x in zip(self._channels, on, strict=True) if x)
         # After the cause has ended, new windows contain no evidence for the cause.
         active = bool(np.any(deviation > REFERENCE)) or not before.on
         self.alarm = Alarm(True, channels, self._hint(on) if active else before.hint)
 
     def _add_evidence(self, window: Window) -> None:
         """Adds a window to the sums for least-squares fits of faults and parameters."""
-        variance = self.bands.variance(window)[:, None]
+        variance, m = self.bands.variance(window)[:, None], window.pressures
         finite = np.isfinite(window.residual)
         r = np.where(finite, window.residual, 0.0) / np.sqrt(variance)
-        d = np.where(finite[:2], window.faulty - window.model[:2], 0.0) / np.sqrt(variance[:2])
-        rr = np.broadcast_to(np.sum(r[:2] ** 2, axis=1), d.shape[:2])
-        sums = (rr, np.sum(r[:2] * d, axis=2), np.sum(d**2, axis=2))
+        d = np.where(finite[:m], window.faulty - window.model[:m], 0.0) / np.sqrt(variance[:m])
+        rr = np.broadcast_to(np.sum(r[:m] ** 2, axis=1), d.shape[:2])
+        sums = (rr, np.sum(r[:m] * d, axis=2), np.sum(d**2, axis=2))
         self._pressures = EVIDENCE_RETENTION * self._pressures + np.stack(sums)
-        J = np.where(finite[2:], window.derivatives[1:, 2:], 0.0) / np.sqrt(variance[2:])
+        J = np.where(finite[m:], window.derivatives[1:, m:], 0.0) / np.sqrt(variance[m:])
         J = J.reshape(len(J), -1)
         self._normal = EVIDENCE_RETENTION * self._normal + J @ J.T
-        self._pull = EVIDENCE_RETENTION * self._pull + J @ r[2:].ravel()
-        self._body = EVIDENCE_RETENTION * self._body + np.sum(r[2:] ** 2)
+        self._pull = EVIDENCE_RETENTION * self._pull + J @ r[m:].ravel()
+        self._body = EVIDENCE_RETENTION * self._body + np.sum(r[m:] ** 2)
 
     def _hint(self, on: np.ndarray) -> str:
-        if on[:2].any():
-            return "; ".join(self._chamber(int(i)) for i in np.flatnonzero(on[:2]))
-        channels = ", ".join(c for c, x in zip(SLIDER_CHANNELS, on, strict=True) if x)
+        pressures = on[: len(self._chambers)]
+        if pressures.any():
+            return "; ".join(self._chamber(int(i)) for i in np.flatnonzero(pressures))
+        channels = ", ".join(c for c, x in zip(self._channels, on, strict=True) if x)
         # The stiffness and the length of a tail may change, so they are fitted together.
         tail, K_Q = self._explained([1, 2]), self._explained([0])
         if max(K_Q, tail) < MIN_EXPLAINED:
@@ -256,9 +276,12 @@ class SequentialTest:
         size = np.maximum(rd, 0.0) / np.maximum(dd, 1e-300)
         gained = size * rd / np.maximum(rr, 1e-300)
         best = int(np.argmax(gained))
-        where = ("front", "rear")[i]
+        where, pair = self._chambers[i].name, self._chambers[i].side == "both"
+        all_sides = " chambers" if pair else ""
         if gained[best] < MIN_EXPLAINED:
-            return f"{where} chambers: unknown fault (not a leak, a blocked valve or a slower lag)"
+            return (
+                f"{where}{all_sides}: unknown fault (not a leak, a blocked valve or a slower lag)"
+            )
         hypothesis = FAULT_HYPOTHESES[best]
-        side = {1: "_left", -1: "_right", 0: " chambers"}[hypothesis.side]
+        side = {1: "_left", -1: "_right", 0: all_sides}[hypothesis.side] if pair else ""
         return f"{hypothesis.cause}: {where}{side}"

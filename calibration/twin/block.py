@@ -17,14 +17,13 @@ from jaxtyping import Array, Float
 from slider_jax import observables as obs
 from slider_jax.actuation import FirstOrderLag, Held, Ideal, Recorded
 from slider_jax.beam.parameters import Numerics, Scalar
-from slider_jax.channels import SLIDER_CHANNELS, recorded
+from slider_jax.channels import OF_BODY, ChannelSet, recorded
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.pressures import advance, set_pressures, start_flow
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 from slider_jax.effects import Command, Flow, Instrument, Readings, of_place
-from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, lag_of, to_model
 from slider_jax.experiment.schema import Trial
 
@@ -82,15 +81,15 @@ class BlockState(eqx.Module):
 
     values: Float[Array, " values"]
     """Values of `PARAMETERS` with which the state was computed."""
-    p: Float[Array, "rows 2"]
+    p: Float[Array, "rows actuators"]
     """Pressures [Pa] that the lag model predicts from the set pressures, and states of the model's
     `Flow` effects. The rows are those of `start_flow`."""
-    dp: Float[Array, "rows 2"]
+    dp: Float[Array, "rows actuators"]
     """Derivative of `p` with respect to k."""
-    sensed: Float[Array, "rows 2"]
+    sensed: Float[Array, "rows actuators"]
     """As `p`, for the pressures that drive the body: measured pressures, or predicted pressures in
     a gap."""
-    faulty: Float[Array, "faults rows 2"]
+    faulty: Float[Array, "faults rows actuators"]
     """As `p`, for the pressures that the lag model predicts with each of `FAULT_HYPOTHESES`."""
     body: Carry
     d_body: Any
@@ -98,19 +97,19 @@ class BlockState(eqx.Module):
     last: Float[Array, "3"]
     """Thrust [N], recoil [N] and tip [m] at the end of the block."""
     d_last: Float[Array, "bodies 3"]
-    past: Float[Array, "past 5"]
+    past: Float[Array, "past channels"]
     """Last true readings, to which effects on sensors are applied; empty without such effects."""
-    d_past: Float[Array, "values past 5"]
+    d_past: Float[Array, "values past channels"]
 
 
 class BlockPrediction(NamedTuple):
     """The model's values at the samples of a block."""
 
-    channels: Float[Array, "5 samples"]
-    """Predicted readings, in the order of `SLIDER_CHANNELS`."""
-    derivatives: Float[Array, "values 5 samples"]
+    channels: Float[Array, "channels samples"]
+    """Predicted readings, in the order of `live_channels`."""
+    derivatives: Float[Array, "values channels samples"]
     """Derivatives of the readings with respect to `PARAMETERS`."""
-    faulty: Float[Array, "faults 2 samples"]
+    faulty: Float[Array, "faults actuators samples"]
     """Pressures [Pa] with each of `FAULT_HYPOTHESES`."""
 
 
@@ -125,17 +124,15 @@ class BlockLayout:
     scheme: Scheme = SDIRK2
 
 
+def live_channels(experiment: Experiment) -> ChannelSet:
+    """Returns the channels of the live stream: the pressures, thrust, recoil and tip."""
+    return ChannelSet(experiment.channels.members[: len(experiment.chambers) + len(OF_BODY)])
+
+
 def live_model(experiment: Experiment, trial: Trial) -> Model:
     """Returns a trial's model with the experiment's k and zero drive. Each block sets the drive."""
     wave = Recorded(jnp.zeros(2), jnp.zeros(2))
     model = to_model(experiment, trial)
-    if len(model.drive.waves) != len(SLIDER_CHANNELS.pressures):
-        raise InputError.value(
-            "robot",
-            f"{len(model.drive.waves)} chambers",
-            "the two chambers of the rig's manifold",
-            "the live stream has two pressures",
-        )
     return replace(
         model,
         pressure_law=jax.tree.map(jnp.asarray, lag_of(experiment)),
@@ -154,15 +151,17 @@ def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -
     body = at_rest(_of_body(model, jnp.asarray(values[1:])), layout.numerics)
     count, past = len(PARAMETERS), HISTORY if of_place(model.effects, Instrument) else 0
     moving = eqx.filter(body, eqx.is_inexact_array)
+    actuators = len(model.drive.waves)
+    channels = actuators + len(OF_BODY)
     return BlockState(
         values=jnp.asarray(values),
-        **pressure_state(model, np.zeros(2)),
+        **pressure_state(model, np.zeros(actuators)),
         body=body,
         d_body=jax.tree.map(lambda x: jnp.zeros((count - 1, *x.shape)), moving),
         last=jnp.zeros(3),
         d_last=jnp.zeros((count - 1, 3)),
-        past=jnp.zeros((past, len(SLIDER_CHANNELS))),
-        d_past=jnp.zeros((count, past, len(SLIDER_CHANNELS))),
+        past=jnp.zeros((past, channels)),
+        d_past=jnp.zeros((count, past, channels)),
     )
 
 
@@ -178,18 +177,18 @@ def compile_block(
 ) -> Callable[..., tuple[BlockState, BlockPrediction]]:
     """Returns the program of a block, compiled for models with the structure of `model`.
 
-    The arguments of the program are (model, state, values (parameters,), t0, set_pressure (2,
-    HISTORY + 1 + samples), measured pressure (2, samples)). `t0` [s] is the time of the last sample
-    before the block. A set pressure [Pa] is the mean since the previous sample. A missing measured
-    pressure is NaN.
+    The arguments of the program are (model, state, values (parameters,), t0, set_pressure
+    (actuators, HISTORY + 1 + samples), measured pressure (actuators, samples)). `t0` [s] is the
+    time of the last sample before the block. A set pressure [Pa] is the mean since the previous
+    sample. A missing measured pressure is NaN.
     """
 
     def run(model, state, values, t0, set_pressure, measured):
         return _block(layout, model, state, values, t0, set_pressure, measured)
 
-    n = layout.samples
+    n, actuators = layout.samples, len(model.drive.waves)
     arguments = (model, state, state.values, jnp.zeros(()))
-    shapes = [jax.ShapeDtypeStruct((2, m), jnp.dtype(float)) for m in (HISTORY + 1 + n, n)]
+    shapes = [jax.ShapeDtypeStruct((actuators, m), jnp.dtype(float)) for m in (HISTORY + 1 + n, n)]
     return jax.jit(run).lower(*arguments, *shapes).compile()
 
 
@@ -221,7 +220,10 @@ def _block(
     state, body, d_body = _body(layout, replace(model, drive=as_read), state, t0)
     true = jnp.concatenate([p, body], axis=1)
     d_true = jnp.concatenate(
-        [jnp.pad(dp, ((0, 0), (0, 3)))[None], jnp.pad(d_body, ((0, 0), (0, 0), (2, 0)))]
+        [
+            jnp.pad(dp, ((0, 0), (0, body.shape[1])))[None],
+            jnp.pad(d_body, ((0, 0), (0, 0), (p.shape[1], 0))),
+        ]
     )
     state, read, d_read = _instruments(layout, model, state, at[1:], true, d_true)
     return state, BlockPrediction(read.T, jnp.swapaxes(d_read, 1, 2), jnp.moveaxis(faulty, 0, -1))
@@ -240,9 +242,9 @@ def _extrapolated(state: BlockState, values) -> BlockState:
 def _pressures(layout: BlockLayout, model: Model, state: BlockState, at, measured):
     """Returns the new state and four series of chamber pressures [Pa].
 
-    The first series p (samples, 2) are the pressures of the lag model. The second series
-    (samples, 2) is dp/dk. The third series (samples + 1, 2) drives the body. The fourth series
-    (samples, faults, 2) are the pressures with each of `FAULT_HYPOTHESES`.
+    The first series p (samples, actuators) are the pressures of the lag model. The second series
+    (samples, actuators) is dp/dk. The third series (samples + 1, actuators) drives the body. The
+    fourth series (samples, faults, actuators) are the pressures with each of `FAULT_HYPOTHESES`.
     """
     flows, law = of_place(model.effects, Flow), model.pressure_law
     faults = jax.tree.map(lambda *x: jnp.stack(x), *(x.effect for x in FAULT_HYPOTHESES))
@@ -324,13 +326,13 @@ def _instruments(layout: BlockLayout, model: Model, state: BlockState, at, true,
 
     `true` (samples, channels) are the true readings, and `d_true` are their derivatives.
     """
-    past = len(state.past)
+    past, actuators = len(state.past), len(model.drive.waves)
     series = jnp.concatenate([state.past, true])
     d_series = jnp.concatenate([state.d_past, d_true], axis=1)
     t = at[-1] + layout.period * jnp.arange(1.0 - len(series), 1.0)
 
     def read(series):
-        true = Readings(t, series.T[:2], *series.T[2:])
+        true = Readings(t, series.T[:actuators], *series.T[actuators:])
         _, pressures, *of_body = recorded(model.effects, true)
         return jnp.concatenate([pressures, jnp.stack(of_body)]).T[past:]
 

@@ -78,16 +78,18 @@ def lag_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
     Changes of the set pressure between two readings, and dead times of the valves, shift the
     pressures in time. The part of the derivative that equals a time shift is therefore removed.
     """
-    J = window.derivatives[0, :2] * np.isfinite(window.residual[:2])
-    shift = np.gradient(window.model[:2], axis=1) * np.isfinite(window.residual[:2])
+    m = window.pressures
+    J = window.derivatives[0, :m] * np.isfinite(window.residual[:m])
+    shift = np.gradient(window.model[:m], axis=1) * np.isfinite(window.residual[:m])
     total = np.sum(shift**2, axis=1, keepdims=True)
     J = J - shift * np.sum(shift * J, axis=1, keepdims=True) / np.maximum(total, 1e-300)
-    return _gradient(J, window.residual[:2], variance[:2])
+    return _gradient(J, window.residual[:m], variance[:m])
 
 
 def moment_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
     """Returns g and H for K_Q from thrust, recoil and tip, for `RecursiveEstimator.update`."""
-    return _gradient(window.derivatives[1, 2:], window.residual[2:], variance[2:])
+    m = window.pressures
+    return _gradient(window.derivatives[1, m:], window.residual[m:], variance[m:])
 
 
 def _gradient(J: np.ndarray, r: np.ndarray, variance: np.ndarray) -> tuple[float, float]:

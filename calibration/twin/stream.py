@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slider_jax.channels import OF_BODY
 from slider_jax.errors import InputError
 
 MAX_GAP = 0.2
@@ -18,16 +19,17 @@ class Samples(NamedTuple):
     t: np.ndarray
     """Times (n,) [s] on the device's clock."""
     set_pressure: np.ndarray
-    """Set pressures (2, n) [Pa] of the front and rear chambers, each averaged from the previous
-    reading to this reading, because set pressures also change between two readings."""
+    """Set pressures (actuators, n) [Pa], each averaged from the previous reading to this reading,
+    because set pressures also change between two readings."""
     measured: np.ndarray
-    """Readings (channels, n) of `slider_jax.channels.SLIDER_CHANNELS`, in Pa, Pa, N, N, m."""
+    """Readings (channels, n) of `calibration.twin.block.live_channels`, in Pa, N and m."""
 
-    def checked(self) -> "Samples":
+    def checked(self, actuators: int) -> "Samples":
         """Returns the samples as float arrays. Raises `InputError` for a wrong shape."""
         samples = Samples(*(np.asarray(x, float) for x in self))
         n = samples.t.shape[-1] if samples.t.ndim else 0
-        for name, shape in {"t": (n,), "set_pressure": (2, n), "measured": (5, n)}.items():
+        rows = {"set_pressure": actuators, "measured": actuators + len(OF_BODY)}
+        for name, shape in {"t": (n,), **{name: (x, n) for name, x in rows.items()}}.items():
             given = getattr(samples, name).shape
             if given != shape:
                 raise InputError.value(
@@ -42,7 +44,7 @@ class UniformBlock(NamedTuple):
     t: np.ndarray
     """Times (samples,) [s]."""
     set_pressure: np.ndarray
-    """Set pressures (2, samples) [Pa]. All samples in a gap have the mean pressure of the gap."""
+    """Set pressures (actuators, samples) [Pa]. All samples in a gap have the mean of the gap."""
     measured: np.ndarray
     """Readings (channels, samples). A lost reading is NaN."""
     lost: np.ndarray
@@ -57,6 +59,8 @@ class GapFiller:
 
     period: float
     samples: int
+    actuators: int
+    """Number of the robot's pneumatic actuators."""
     lost: int = 0
     """Number of lost readings in gaps of up to `MAX_GAP`."""
     repeated: int = 0
@@ -67,13 +71,13 @@ class GapFiller:
     def __post_init__(self) -> None:
         self._origin: float | None = None
         self._slot = -1
-        self._last = np.zeros(2)
+        self._last = np.zeros(self.actuators)
         self._rows: list[tuple[float, np.ndarray, np.ndarray, bool]] = []
         self._anew = True
 
     def add(self, readings: Samples) -> Iterator[UniformBlock]:
         """Yields the blocks that these readings complete. Raises `InputError` for wrong shapes."""
-        t, set_pressure, measured = readings.checked()
+        t, set_pressure, measured = readings.checked(self.actuators)
         for i in np.flatnonzero(np.isfinite(t)):
             self._add(float(t[i]), set_pressure[:, i], measured[:, i])
             while len(self._rows) >= self.samples:
@@ -92,8 +96,9 @@ class GapFiller:
             self.repeated += 1
             return
         now = np.where(np.isfinite(set_pressure), set_pressure, self._last)
+        unknown = np.full(len(measured), np.nan)
         for j in range(1, missing + 1):
-            self._rows.append((self._time(self._slot + j), now, np.full(5, np.nan), True))
+            self._rows.append((self._time(self._slot + j), now, unknown, True))
         self.lost += missing
         read = np.where(np.isfinite(measured), measured, np.nan)
         self._rows.append((self._time(slot), now, read, False))

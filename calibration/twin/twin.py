@@ -23,6 +23,7 @@ from calibration.twin.block import (
     BlockLayout,
     compile_block,
     initial_block_state,
+    live_channels,
     live_model,
     parameter_values,
     pressure_state,
@@ -36,7 +37,6 @@ from calibration.twin.estimate import (
 from calibration.twin.stream import GapFiller, Samples, UniformBlock
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
-from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.effects import Command, of_place
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
@@ -96,7 +96,7 @@ class TwinBlock(NamedTuple):
     t: np.ndarray
     """Times (samples,) [s] on the device's clock."""
     model: np.ndarray
-    """Predicted readings (channels, samples) in the order of `SLIDER_CHANNELS`."""
+    """Predicted readings (channels, samples) in the order of `Twin.channels`."""
     measured: np.ndarray
     """Measured readings (channels, samples). A missing reading is NaN."""
     lost: np.ndarray
@@ -122,6 +122,8 @@ class Twin:
 
     def __init__(self, experiment: Experiment, settings: TwinSettings, trial: Trial):
         self.experiment, self.settings = experiment, settings
+        self.channels = live_channels(experiment)
+        self._actuators = len(experiment.chambers)
         robot = experiment.robot
         cells = split_cells(settings.nodes, *robot.lengths)
         self.layout = BlockLayout(
@@ -158,7 +160,8 @@ class Twin:
             raise InputError.value("twin settings, nodes", f"{settings.nodes}", allowed)
         trial = experiment.trials[trial] if isinstance(trial, int) else trial
         twin, n = cls(experiment, settings, trial), settings.samples
-        twin.feed(Samples(twin.layout.period * np.arange(n), np.zeros((2, n)), np.zeros((5, n))))
+        rest = np.zeros((twin._actuators, n)), np.zeros((len(twin.channels), n))
+        twin.feed(Samples(twin.layout.period * np.arange(n), *rest))
         twin.restart()
         return twin
 
@@ -167,8 +170,8 @@ class Twin:
         self._k = self._recursive("k", self._values[0], self.settings.memory_k)
         self._K_Q = self._recursive("K_Q", self._values[1], self.settings.memory_K_Q)
         self._state = self._rest
-        self.gap_filler = GapFiller(self.layout.period, self.layout.samples)
-        self._past = np.zeros((2, HISTORY + 1))
+        self.gap_filler = GapFiller(self.layout.period, self.layout.samples, self._actuators)
+        self._past = np.zeros((self._actuators, HISTORY + 1))
         self._lost_in_a_row, self._settling = 0, 0
         self._parts: list[tuple] = []
         self._windows: list[Window] = []
@@ -177,8 +180,8 @@ class Twin:
         """Channels with too large residuals while the bands were learned: rms of the residual in SI
         units, and rms divided by S. The learned bands include them, so they cause no alarm."""
         self._means = 0
-        self._tare = np.zeros(len(SLIDER_CHANNELS))
-        self._d_tare = np.zeros((len(PARAMETERS), len(SLIDER_CHANNELS)))
+        self._tare = np.zeros(len(self.channels))
+        self._d_tare = np.zeros((len(PARAMETERS), len(self.channels)))
         self._test: SequentialTest | None = None
 
     def _recursive(self, name: str, value: float, memory: float) -> RecursiveEstimator:
@@ -225,14 +228,14 @@ class Twin:
         state = self._state
         if block.restarted:
             self._past = np.repeat(block.set_pressure[:, :1], HISTORY + 1, axis=1)
-            p = np.nan_to_num(block.measured[:2, 0])
+            p = np.nan_to_num(block.measured[: self._actuators, 0])
             state = replace(state, **pressure_state(self._model, p))
         set_pressure = np.concatenate([self._past, block.set_pressure], axis=1)
         self._past = set_pressure[:, -HISTORY - 1 :]
         values = np.array([self._k.value, self._K_Q.value, *self._values[2:]])
         t0 = np.asarray(block.t[0] - self.layout.period)
         state, predicted = self._program(
-            self._model, state, values, t0, set_pressure, block.measured[:2]
+            self._model, state, values, t0, set_pressure, block.measured[: self._actuators]
         )
         if not state.body.ok:
             rest = self._rest
@@ -265,12 +268,13 @@ class Twin:
         whole = Window(*(np.concatenate(x, axis=-1) for x in zip(*self._parts, strict=True)))
         window = _aligned_forces(self._without_mean(whole), self.layout.period)
         self._parts = []
-        sensors, test = self.experiment.sensors, self._test
-        bands = test.bands if test else Bands.declared(sensors, [*self._windows, window])
-        driven = bool(np.any(window.size[:2] > MIN_EXCITATION * bands.noise[:2]))
-        inside = test.inside(window) if test else np.ones(len(SLIDER_CHANNELS), bool)
+        sensors, test, m = self.experiment.sensors, self._test, self._actuators
+        before = [*self._windows, window]
+        bands = test.bands if test else Bands.declared(sensors, self.channels, before)
+        driven = bool(np.any(window.size[:m] > MIN_EXCITATION * bands.noise[:m]))
+        inside = test.inside(window) if test else np.ones(len(self.channels), bool)
         variance = bands.variance(window)
-        if driven and inside[:2].all():
+        if driven and inside[:m].all():
             self._k.update(*lag_gradient(window, variance))
         if driven and inside.all():
             self._K_Q.update(*moment_gradient(window, variance))
@@ -279,13 +283,14 @@ class Twin:
         elif driven:
             self._windows.append(window)
             # A leak changes the mean pressure, so the residuals of the pressures keep their means.
-            pressures = whole.residual[:2]
-            residual = np.concatenate([pressures, window.residual[2:]])
+            pressures = whole.residual[:m]
+            residual = np.concatenate([pressures, window.residual[m:]])
             self._raw_windows.append(window._replace(residual=residual))
             warm, learn = self._learned_by
             if len(self._windows) == warm + learn:
-                self._test = SequentialTest(Bands.learned(sensors, self._windows[warm:]))
-                self.misfits = channel_misfits(self._raw_windows[warm:])
+                bands = Bands.learned(sensors, self.channels, self._windows[warm:])
+                self._test = SequentialTest(bands, self.channels, self.experiment.chambers)
+                self.misfits = channel_misfits(self.channels, self._raw_windows[warm:])
 
     def _without_mean(self, window: Window) -> Window:
         """Returns the window minus the means of residual and derivatives.
@@ -299,10 +304,8 @@ class Twin:
         mean = np.sum(share * np.where(finite, window.residual, 0.0), axis=1)
         d_mean = np.sum(share * window.derivatives, axis=2)
         self._means += 1
-        gain = np.full(
-            len(SLIDER_CHANNELS), max(self.settings.window / TARE_TIME, 1.0 / self._means)
-        )
-        gain[:2] = 0.0 if self._test else 1.0 / self._means
+        gain = np.full(len(self.channels), max(self.settings.window / TARE_TIME, 1.0 / self._means))
+        gain[: self._actuators] = 0.0 if self._test else 1.0 / self._means
         gain *= window.sufficient
         self._tare = tare + gain * (mean - tare)
         self._d_tare = d_tare + gain * (d_mean - d_tare)
@@ -317,7 +320,7 @@ def _aligned_forces(window: Window, period: float) -> Window:
 
     A shift above `MAX_CLOCK_SHIFT` is not applied. The shift is also removed from `derivatives`.
     """
-    forces = slice(2, 4)
+    forces = slice(window.pressures, window.pressures + 2)  # thrust and recoil
     model, residual = window.model[forces], window.residual[forces]
     slope = np.gradient(model, period, axis=1)
     finite = np.isfinite(residual)

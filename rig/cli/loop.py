@@ -78,9 +78,10 @@ def rig_loop(
     allowed["tow_speed"] = (0.0, 0.0)
 
     def within(now: Experiment) -> TrialLimits:
-        # The pressures of a chamber are its ratio times the amplitude.
+        # The pressures of a chamber are its ratio times the amplitude, and its bias.
         ratios = [abs(x) for t in now.trials for x in (t.rear_ratio, *(t.ratios or ()))]
-        highest = min(settings.manifold.limits) / max(1.0, *ratios)
+        bias = max([0.0, *(abs(x) for t in now.trials for x in t.biases or ())])
+        highest = (min(settings.manifold.limits) - bias) / max(1.0, *ratios)
         limits = limits_of(now, allowed)
         low, high = limits.amplitude
         return limits._replace(amplitude=(min(low, highest), min(high, highest)))

@@ -91,7 +91,7 @@ def rig_watch(
             file=sys.stderr,
         )
     playing = DrivePlayer(port, settings, played, duration)
-    log = WatchLog(loaded.channels.members[: len(playing.stream.columns)])
+    log = WatchLog(twin.channels.members)
     try:
         with signals_as_ctrl_c(), playing:
             while not playing.ended:

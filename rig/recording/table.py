@@ -58,9 +58,8 @@ class AnalogueSensor:
 
     def signal(self, channels: np.ndarray) -> np.ndarray:
         """Returns values (...) for channels (..., channels), without tare if `zero` is None."""
-        volts = (
-            1e-6 * channels[..., OTHER_CHANNELS.index(f"in_{self.input}_uV") - len(OTHER_CHANNELS)]
-        )
+        at = OTHER_CHANNELS.index(f"in_{self.input}_uV") - len(OTHER_CHANNELS)
+        volts = 1e-6 * channels[..., at]
         return self.scale * (volts - (self.zero or 0.0))
 
 

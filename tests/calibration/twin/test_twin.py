@@ -7,7 +7,17 @@ import time
 import numpy as np
 import pytest
 
-from calibration.twin.alarm import MAX_MISFIT, REFERENCE, THRESHOLD, Bands, Window, run_length
+from calibration.twin.alarm import (
+    MAX_MISFIT,
+    REFERENCE,
+    THRESHOLD,
+    Bands,
+    SequentialTest,
+    Window,
+    run_length,
+    sensor_of,
+)
+from calibration.twin.block import FAULT_HYPOTHESES, live_channels
 from calibration.twin.estimate import RecursiveEstimator
 from calibration.twin.stream import GapFiller, Samples
 from calibration.twin.twin import Twin, TwinSettings
@@ -161,9 +171,9 @@ def test_a_fault_from_the_start_is_reported_as_a_misfit(started, experiment, cha
     vars(robot).update(change)
     follow(twin, robot, LEARNED)
     assert list(twin.misfits) == channels
-    for i, channel in enumerate(SLIDER_CHANNELS):
-        rms, share = twin.misfits.get(channel, (0.0, 0.0))
-        assert channel not in channels or rms > 0.0 and MAX_MISFIT[i] < share < 0.6
+    for name, channel in SLIDER_CHANNELS.items():
+        rms, share = twin.misfits.get(name, (0.0, 0.0))
+        assert name not in channels or rms > 0.0 and MAX_MISFIT[sensor_of(channel)] < share < 0.6
 
 
 @pytest.mark.slow
@@ -225,7 +235,7 @@ def test_a_drive_that_stops_and_starts_again_gives_no_alarm(running):
 
 
 def test_readings_become_evenly_spaced_blocks_and_a_gap_is_filled_in():
-    gap_filler = GapFiller(0.002, 5)
+    gap_filler = GapFiller(0.002, 5, 2)
     t = 3.0 + 0.002 * np.arange(20)
     jitter = 4e-4 * np.sin(np.arange(20))
     ramp = np.stack([100.0 * np.arange(20), -np.arange(20.0)])
@@ -248,7 +258,7 @@ def test_readings_become_evenly_spaced_blocks_and_a_gap_is_filled_in():
 
 @pytest.mark.parametrize("jump", [0.5, -2.0])
 def test_a_long_gap_or_a_clock_set_back_restarts_the_blocks(jump):
-    gap_filler = GapFiller(0.002, 5)
+    gap_filler = GapFiller(0.002, 5, 2)
     t = 3.0 + 0.002 * np.arange(13)
     empty = np.zeros((2, 13)), np.zeros((5, 13))
     first = list(gap_filler.add(Samples(t, *empty)))
@@ -260,7 +270,7 @@ def test_a_long_gap_or_a_clock_set_back_restarts_the_blocks(jump):
 
 def test_readings_of_another_shape_are_rejected():
     with pytest.raises(InputError, match=r"readings, measured: given shape \(4, 3\)"):
-        list(GapFiller(0.002, 5).add(Samples(np.zeros(3), np.zeros((2, 3)), np.zeros((4, 3)))))
+        list(GapFiller(0.002, 5, 2).add(Samples(np.zeros(3), np.zeros((2, 3)), np.zeros((4, 3)))))
 
 
 @pytest.mark.parametrize(
@@ -369,6 +379,66 @@ tau = 0.01
     true = true[:, : len(after)][:, after]
     off = np.sqrt(np.mean((model - true) ** 2, axis=1) / np.mean(true**2, axis=1))
     assert np.all(off < [1e-3, 1e-3, 0.03, 0.02, 0.02]), off
+
+
+def three_actuators(*more):
+    """Returns the changes to the small experiment's text for two pairs and a single chamber."""
+    actuators = "\n".join(
+        f'[[actuators]]\nkind = "pneumatic"\nname = "{name}"\nspan = {span}\n{side}'
+        for name, span, side in (
+            ("head", [0.02, 0.1], ""),
+            ("fin", [0.11, 0.19], 'side = "right"'),
+            ("waist", [0.2, 0.28], ""),
+        )
+    )
+    pairs = "front_chamber = [0.02, 0.145]\nrear_chamber = [0.155, 0.28]\n"
+    return ((pairs, ""), ("[sensors]", f"{actuators}\n[sensors]"), *more)
+
+
+@pytest.mark.slow
+def test_a_twin_of_three_actuators_agrees_with_simulate(tmp_path):
+    lag = '[[effects]]\nname = "force_sensor_lag"\ntau = 0.01\n\n[[trials]]'
+    changes = three_actuators(
+        ("frequency = 4.0", 'waveform = "sine"\nfrequency = 2.0'),
+        ("nodes = 11\nstep = 0.005", "nodes = 31\nstep = 0.002"),
+        ("duration = 0.75", "duration = 3.0"),
+        ("[[trials]]", lag),
+    )
+    experiment = load(write_small_experiment(tmp_path, *changes))
+    run, twin = simulate_trial(experiment, 0), Twin.of(experiment)
+    t = run.columns["t_s"][1:]
+    set_pressure = np.asarray(set_pressures(to_model(experiment, 0).drive, t))
+    true = np.stack([run.columns[x.column][1:] for x in twin.channels.values()])
+    blocks = twin.feed(Samples(t, set_pressure, true))
+    after = t[: 10 * len(blocks)] > 0.5
+    model = np.concatenate([b.model for b in blocks], axis=1)[:, after]
+    true = true[:, : len(after)][:, after]
+    off = np.sqrt(np.mean((model - true) ** 2, axis=1) / np.mean(true**2, axis=1))
+    assert np.all(off < [1e-3, 1e-3, 1e-3, 0.03, 0.02, 0.02]), off
+
+
+@pytest.mark.parametrize(
+    ("chamber", "cause", "side", "hint"),
+    [
+        (0, "leak", -1, "leak: head_right"),
+        (1, "blocked valve", -1, "blocked valve: fin"),
+        (2, "slower lag", 0, "slower lag: waist chambers"),
+    ],
+)
+def test_an_alarm_names_the_chamber_of_any_robot(chamber, cause, side, hint, tmp_path):
+    experiment = load(write_small_experiment(tmp_path, *three_actuators()))
+    channels, rng = live_channels(experiment), np.random.default_rng(0)
+    faulty = rng.normal(size=(len(FAULT_HYPOTHESES), 3, 200))
+    model = np.ones((6, 200))
+    right = next(i for i, x in enumerate(FAULT_HYPOTHESES) if (x.cause, x.side) == (cause, side))
+    residual = np.zeros((6, 200))
+    residual[chamber] = faulty[right, chamber] - model[chamber]
+    window = Window(residual, model + residual, model, np.zeros((4, 6, 200)), faulty)
+    bands = Bands(np.full(6, 0.1), np.zeros(6), np.ones(6))
+    test = SequentialTest(bands, channels, experiment.chambers)
+    while not test.alarm.on:
+        test.update(window)
+    assert test.alarm.channels == (list(channels)[chamber],) and test.alarm.hint == hint
 
 
 @pytest.mark.slow
