@@ -118,8 +118,8 @@ with ExitStack() as stack:
         stack.callback(simulated.terminate)
         port = simulated.stdout.readline().split()[1]
     settings = with_force_counts(load_rig(rig_file))
-    machine = stack.enter_context(open_rig(port, settings))
     table_of_trials, trials = load_trials(path)
+    machine = stack.enter_context(open_rig(port, settings, trials[0].drive.layout))
     summaries = run_trials(trials, machine, measured, {"rig": settings.model_dump(mode="json")})
 (measured / "experiment.toml").write_bytes(path.read_bytes())
 for trial in summaries:

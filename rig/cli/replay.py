@@ -8,7 +8,7 @@ import tyro
 
 from rig.chambers import SLIDER, ChamberLayout
 from rig.cli.settings import RigTable
-from rig.cli.shared import RigFile, force_calibration, layout_of, load_trials, marker_camera
+from rig.cli.shared import RigFile, force_calibration, load_trials, marker_camera
 from rig.errors import RigError
 from rig.force.sensor import SensorMounting, force_reader
 from rig.recording.decode import drive_span
@@ -69,8 +69,8 @@ def _convert(folder: Path, out: Path, rig: Path | None) -> int:
     given = load_rig(rig) if rig is not None else None
     experiment, durations, layout = folder / "experiment.toml", dict[str, float](), SLIDER
     if experiment.exists():
-        table, trials = load_trials(experiment)
-        durations, layout = {x.name: x.duration for x in trials}, layout_of(table, experiment)
+        trials = load_trials(experiment)[1]
+        durations, layout = {x.name: x.duration for x in trials}, trials[0].drive.layout
     failed = 0
     with staged(out) as stage:
         for path in paths:

@@ -12,7 +12,6 @@ from rig.cli.shared import (
     StatusLine,
     declare_swing,
     install_experiment,
-    layout_of,
     load_trials,
     open_rig,
     warn_of_moving_clamp,
@@ -60,7 +59,7 @@ def rig_run(
     if out.resolve() == experiment.resolve().parent:
         raise InputError(f"--out {out}: is the experiment's own folder; give another folder")
     table, trials = load_trials(experiment)
-    layout = layout_of(table, experiment)
+    layout = trials[0].drive.layout
     changes: dict[str, dict[str, Any]] = {}
     if limit is not None:
         PressureLimits.of(limit, layout.names, "--limit")
