@@ -10,8 +10,9 @@ import pytest
 
 from calibration.pressure_logs.read import read_log
 from rig.cli.shared import declare_swing, install_experiment, layout_in
+from rig.cli.simulate import RobotTank
 from rig.errors import RigError
-from rig.protocol.messages import Reading, SetPressures, encode_frame
+from rig.protocol.messages import Arm, FrameDecoder, Reading, SetLimits, SetPressures, encode_frame
 from rig.recording.decode import drive_span
 from rig.recording.reader import read_recording
 from rig.recording.table import AnalogueSensor
@@ -217,7 +218,6 @@ def test_a_replay_uses_other_axes_of_a_rig_file(measured, tmp_path):
 
 def test_a_replay_sends_the_recorded_bytes_on_a_port(measured, tmp_path):
     from rig.manifold.serial_port import open_port
-    from rig.protocol.messages import FrameDecoder
 
     recording = measured[1] / "recordings" / "a.h5"
     with served("rig", "replay", recording, "--speed", "0.5", cwd=tmp_path) as port:
@@ -335,6 +335,28 @@ def test_the_eel_is_checked_measured_and_read_again(tmp_path):
     done = slider("rig", "replay", out, "--out", tmp_path / "nothing")
     assert done.returncode == 2
     assert "the manifold has 6, but the robot has 4 (front_left, " in done.stderr
+
+
+@pytest.mark.slow
+def test_the_simulated_robot_has_the_chambers_of_the_experiment(tmp_path):
+    """In virtual time: the readings have the lag's exact pressures in all six chambers."""
+    from slider_jax.experiment.load import load
+    from slider_jax.realtime.plant import Plant
+
+    path, asked = tmp_path / "eel.toml", (200_000, 0, 0, 150_000, 100_000, 0)
+    path.write_text(EEL.read_text().replace("nodes = 53", "nodes = 15"))
+    tank = RobotTank(Plant(load(path), step=1e-3))
+    device = SimulatedRig(tank, ManifoldCore((HARD_LIMIT,) * len(asked)))
+    decoder, found = FrameDecoder(), []
+    device.tick(0)
+    for message in (SetLimits(1, (250_000,) * 6), Arm(2), SetPressures(3, asked)):
+        device.feed(encode_frame(message), 0)
+    for now in range(1000, 91_000, 1000):
+        found += decoder.feed(device.tick(now))
+    expected = np.array(asked) * (1.0 - np.exp(-0.09 / 0.087))
+    assert found[-1].device_us == 90_000
+    assert found[-1].pressures == pytest.approx(expected, abs=1.0)
+    assert found[-1].channels[7] != 0  # the tip moves
 
 
 def test_a_check_of_a_bad_line_reports_damaged_frames(tmp_path):
