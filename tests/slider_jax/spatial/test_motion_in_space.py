@@ -127,22 +127,30 @@ def test_torsional_and_bending_frequencies():
 
 
 @pytest.mark.slow
-def test_spin_and_slip_decay_as_the_drag_demands():
-    """omega0/(1 + omega0 K t/J) and u0/(1 + u0 rho C_d H t/(2 (m + m_A))), to 1e-4."""
-    effects = (ReactiveForce(1.0), NormalDrag(2.0))
-    model = spatial(uniform(L=L, EI=EI_B, effects=effects, support=Free()))
+def test_spin_and_slip_decay_and_buoyancy_rights_the_body():
+    """omega0/(1 + omega0 K t/J) and u0/(1 + u0 rho C_d H t/(2 (m + m_A))), to 1e-4; without drag, a
+    roll of phi0 becomes phi0 cos(t sqrt(rho A g d/J)), to 1e-3 of phi0."""
+    rho, g, d, phi0 = 1000.0, 9.81, 0.005, 0.01
+
+    def model_of(C_d, g):
+        gravity = Gravity(g, elevation=math.pi / 2, buoyancy_b=d, density=rho)
+        effects = (ReactiveForce(1.0), NormalDrag(C_d), gravity)
+        model = spatial(uniform(L=L, EI=EI_B, effects=effects, support=Free()))
+        afloat = model.robot.with_parts(lambda p: replace(p, area=jnp.asarray(MASS / rho)))
+        return replace(model, robot=afloat)
 
     @jax.jit
-    def run(V, omega):
-        begin = moving(at_rest_in_space(model, SMALL), V, omega)
+    def run(model, begin):
         save = lambda x: (x.memory.omega[0, 3], x.memory.V[1, 3], x.frame)  # noqa: E731
         return spatial_rollout(
             model, TimeGrid(1e-3, 100), save, SMALL, begin=begin, checkpoint=False
         )
 
-    nodes, H, rho = SMALL.nodes, 0.03, 1000.0
-    none = jnp.zeros((3, nodes))
-    spin, slip = run(none, none.at[0].set(50.0)), run(none.at[1].set(0.5), none)
+    nodes, H = SMALL.nodes, 0.03
+    none, heavy = jnp.zeros((3, nodes)), model_of(2.0, 0.0)
+    still = at_rest_in_space(heavy, SMALL)
+    spin = run(heavy, moving(still, none, none.at[0].set(50.0)))
+    slip = run(heavy, moving(still, none.at[1].set(0.5), none))
     t = np.array(spin.t)
     inertia, K = J + np.pi * rho * H**4 / 128, rho * 2.0 * H**4 / 64
     np.testing.assert_allclose(spin.saved[0], 50 / (1 + 50 * K * t / inertia), rtol=1e-4)
@@ -150,6 +158,10 @@ def test_spin_and_slip_decay_as_the_drag_demands():
     np.testing.assert_allclose(slip.saved[1], 0.5 / (1 + 0.5 * rho * 2 * H * t / (2 * mass)), 1e-4)
     norm = np.linalg.norm(np.array(spin.saved[2]), axis=1)
     np.testing.assert_allclose(norm, 1.0, rtol=0, atol=1e-12)
+    rolled = at_rest_in_space(heavy, SMALL, 0.0, about_tau(jnp.asarray(phi0)))
+    roll = 2.0 * np.array(run(model_of(0.0, g), rolled).saved[2])[:, 1, 3]
+    right = phi0 * np.cos(t * np.sqrt(MASS * g * d / inertia))
+    np.testing.assert_allclose(roll, right, rtol=0, atol=1e-3 * phi0)
 
 
 @pytest.mark.slow
