@@ -17,10 +17,8 @@ from typing import Any
 import numpy as np
 
 from slider_jax.beam.parameters import SLIDER
-from slider_jax.cli.main import main as slider
-from slider_jax.cli.main import prepare_jax
+from slider_jax.cli.main import main as slider, prepare_jax
 from slider_jax.experiment.load import Experiment, assemble
-from slider_jax.io.csv import read_csv
 from slider_jax.io.files import write_csv, write_text
 from slider_jax.optimise.design_space import to_toml
 from slider_jax.simulation.trial import simulate_trial
@@ -69,21 +67,21 @@ def experiment_with(
 
 def make_tank(seed: int, folder: Path) -> dict[str, float]:
     """Writes the experiment file and the measured files of a tank, and returns the true values."""
-    rng, (name, size) = np.random.default_rng(seed), HIDDEN[seed]
+    rng, (effect, values_of_effect) = np.random.default_rng(seed), HIDDEN[seed]
     values = {key: float(rng.uniform(*limits)) for key, limits in RANGES.items()}
-    tank = experiment_with(values, [{"name": name} | size], folder)
+    tank = experiment_with(values, [{"name": effect} | values_of_effect], folder)
     folder.mkdir(parents=True, exist_ok=True)
     for i, trial in enumerate(tank.trials):
         true = simulate_trial(tank, i).columns
         measured = {"t_s": true["t_s"]}
-        for channel in tank.channels.values():
-            sizes = {"pressure": PRESSURE_NOISE, "marker": MARKER_NOISE}
-            if channel.kind in sizes:
-                noise = rng.normal(0.0, sizes[channel.kind], len(true["t_s"]))
-                measured[channel.column] = true[channel.column] + noise
+        sizes = {"p_front_Pa": PRESSURE_NOISE, "p_rear_Pa": PRESSURE_NOISE}
+        sizes |= {f"y{j}_m": MARKER_NOISE for j in range(len(MARKERS))}
+        for column, size in sizes.items():
+            noise = rng.normal(0.0, size, len(true["t_s"]))
+            measured[column] = true[column] + noise
         write_csv(folder / trial.file, measured, {"t_s": ".6g"})
     write_text(folder / "experiment.toml", to_toml(experiment_with(GUESS, [], folder)))
-    return values | {f"{name}.{key}": x for key, x in size.items()}
+    return values | {f"{effect}.{key}": x for key, x in values_of_effect.items()}
 
 
 def lines_of(report: dict[str, Any], truth: dict[str, float]) -> list[str]:

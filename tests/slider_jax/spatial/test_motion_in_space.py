@@ -16,7 +16,7 @@ from slider_jax.beam.spatial import Vec, about_tau, rate_of, rotation_vector, tu
 from slider_jax.dynamics.model import SpaceSettings
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.time_schemes import BACKWARD_EULER, SDIRK2
-from slider_jax.effects import NormalDrag, ReactiveForce
+from slider_jax.effects import NormalDrag, ReactiveForce, total_load
 from slider_jax.effects.body.gravity import Gravity
 from slider_jax.effects.body.tail_stiffness import TailStiffness
 from slider_jax.effects.water.tangential_friction import TangentialFriction
@@ -26,6 +26,7 @@ from slider_jax.rod.loads import RodLoads
 from slider_jax.rod.rod import Rod
 from slider_jax.spatial.step import at_rest_in_space, spatial_rollout
 from slider_jax.supports import Clamped, Free, PinnedLink
+from slider_jax.swimming.swim_in_space import spatial_chamber_power
 from tests.support.helpers import SMALL, arrays, order, swimmer, uniform
 
 L, EI_N, EI_B, GJ, J, MASS = 0.368, 0.152, 0.038, 0.05, 2e-5, 0.7
@@ -205,6 +206,40 @@ def readings(model, steps, span, numerics, scheme=SDIRK2):
 
     times = TimeGrid(span / steps, steps)
     return spatial_rollout(model, times, save, numerics, scheme)
+
+
+def dot(p, q):
+    return sum(x * y for x, y in zip(p, q, strict=True))
+
+
+def powers(x, angles):
+    """Returns the power [W] of the chambers, and what is left of it after all losses."""
+    c, s, integral, old = x.section(), x.mesh.structure, x.mesh.grid.integral, x.stage.reference
+    strain_t = (c.strain - old.strain) / old.dt
+    bend = [k * w for k, w in zip(s.stiffness, c.curvature, strict=True)]
+    viscous = [k * w for k, w in zip(s.stiffness, c.curvature_t, strict=True)]
+    spin = [j * w for j, w in zip(s.inertia, c.omega, strict=True)]
+    load = total_load(x.stage.effects, c)
+    stored = s.linear_density * dot(c.V, c.V.minus(old.V).times(1.0 / old.dt)) + dot(
+        spin, c.omega_t
+    )
+    stored += dot(bend, c.curvature_t) + s.EA * c.strain * strain_t
+    lost = s.damping_time * (dot(viscous, c.curvature_t) + s.EA * strain_t**2)
+    given = -(1.0 + c.strain) * (dot(load.force, c.V) + dot(load.couple, c.omega))
+    chambers = jnp.sum(spatial_chamber_power(x, angles))
+    return chambers, chambers - integral(stored + lost + given)
+
+
+def test_the_powers_balance_at_every_step():
+    """The work of the chambers is stored, dissipated or given to the water, to 1e-9 of the power.
+    The body bends alike in both planes, and twists."""
+    model = replace(strip_swimmer(EI_n=0.02), space=SpaceSettings(jnp.array([0.7, -0.7])))
+    numerics = replace(SMALL, tolerance=1e-11)
+    save = lambda x: (*powers(x, model.space.angles), x.section().curvature.n)  # noqa: E731
+    run = jax.jit(lambda m: spatial_rollout(m, TimeGrid(5e-3, 60), save, numerics))(model)
+    chambers, left, bent = (np.array(x) for x in run.saved)
+    assert run.ok and np.abs(bent).max() > 0.5
+    np.testing.assert_allclose(left, 0.0, atol=1e-9 * np.abs(chambers).max())
 
 
 @pytest.mark.slow
