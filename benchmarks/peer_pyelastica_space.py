@@ -98,7 +98,7 @@ def run(model: Model, cells: int, steps: int):
     times = TimeGrid(SAMPLE / steps, SAMPLES * steps)
 
     def save(x):
-        twist = jnp.sum(x.memory.curvature[0] * x.mesh.grid.ds)
+        twist = jnp.sum(x.section().curvature.tau * x.mesh.grid.ds)
         return jnp.append(x.positions()[:, 0], twist)
 
     out = spatial_rollout(model, times, save, numerics, checkpoint=False)

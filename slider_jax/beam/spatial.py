@@ -4,6 +4,7 @@ The frame of a section has the axes tau (towards the head), n and b = tau x n. V
 their components in this frame. A planar beam moves along tau and n and turns about b.
 
     d(eps)/dt tau + (1 + eps) omega x tau = dV/ds + Omega x V                  (stretch and turn)
+    d(Omega)/dt                           = d(omega)/ds + Omega x omega        (bend and twist)
     M = K (Omega + alpha d(Omega)/dt) - M_act,  K = (GJ, EI_n, EI_b)           (moment law)
     m (dV/dt + omega x V)                 = dT/ds + Omega x T + (1 + eps) F    (force)
     J d(omega)/dt + omega x (J omega)     = dM/ds + Omega x M + (1 + eps) (tau x T + C)   (moment)
@@ -215,6 +216,8 @@ class Turning(NamedTuple):
     """Rate of turning [rad/s]."""
     curvature: Vec
     """Curvature vector Omega [1/m]."""
+    curvature_t: Vec
+    """Rate dOmega/dt [1/(m s)]."""
     frame: Quaternion
     """Frame in the middle of the cell."""
 
@@ -224,7 +227,6 @@ class SpatialReference(eqx.Module):
 
     V: Vec
     omega: Vec
-    curvature: Vec
     strain: Array
     twist_slope: Array
     """Slope dOmega_tau/ds [1/m^2] of the twist, extrapolated from earlier stages."""
@@ -317,7 +319,7 @@ def section_in_space(
         omega=omega,
         omega_t=omega.minus(reference.omega).times(1.0 / dt),
         curvature=curvature,
-        curvature_t=curvature.minus(reference.curvature).times(1.0 / dt),
+        curvature_t=turning.curvature_t,
         strain=strain_in_space(mid.T.tau, structure, reference),
         V=mid.V,
         u=mid.V.minus(U),

@@ -28,8 +28,9 @@ def swim(
     """Simulates free swimming with each trial's drive and reports the steady speed.
 
     The command computes the steady speed twice: by root finding, and by a simulation from rest
-    until the speed is steady. DIR then contains swim.json (all values, settings and versions). For
-    each trial NAME, the files NAME_swim.png and NAME_swim.csv describe one steady stride.
+    until the speed is steady. An experiment with dimension = 3 is only simulated from rest. DIR
+    then contains swim.json (all values, settings and versions). For each trial NAME, the files
+    NAME_swim.png and NAME_swim.csv describe one steady stride.
 
     Args:
         experiment: experiment file (.toml); towing and heaving of the trials are ignored (default:
@@ -43,7 +44,10 @@ def swim(
     from slider_jax.swimming.paper_optimum import PUBLISHED, given_or, optimum
     from slider_jax.swimming.report import plot_swim, stride_columns, swim_summary, swim_table
 
-    given = given_or(optimum, experiment, model)
+    given = given_or(optimum, experiment, model, spatial=True)
+    if given.dimension == 3:
+        _swim_in_space(given, (experiment, model), out, trial)
+        return
     published = PUBLISHED if experiment is None else {}
 
     def simulated(x, stem: str, say: Callable[[str], None]):
@@ -55,6 +59,32 @@ def swim(
     values = {"published": {name: x._asdict() for name, x in published.items()}}
     inputs = (experiment, model)
     _run("swim", given, inputs, out, trial, lambda x: free_swimmer(given, x), simulated, values)
+
+
+def _swim_in_space(
+    given: Any, inputs: tuple[Path | None, Path | None], out: Path, trial: int | None
+) -> None:
+    from slider_jax.cli.progress import Progress
+    from slider_jax.swimming import report
+    from slider_jax.swimming.swim_in_space import (
+        simulate_swim_in_space,
+        spatial_swim_record,
+        swimmer_in_space,
+    )
+
+    def simulated(x, stem: str, say: Callable[[str], None]):
+        say("compiling and swimming from rest")
+        with Progress(Path(x.file).stem, "stride", "until strides repeat") as progress:
+            found = simulate_swim_in_space(given, x, progress.to)
+        row = spatial_swim_record(found)
+        report.plot_spatial_swim(found, Path(f"{stem}.png"))
+        text = report.spatial_swim_summary(found, row)
+        return row, report.spatial_stride_columns(found), text
+
+    def check(x):
+        return swimmer_in_space(given, x)
+
+    _run("swim", given, inputs, out, trial, check, simulated, {})
 
 
 def climb(

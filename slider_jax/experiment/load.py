@@ -105,7 +105,7 @@ def load(path: Path | str, model: Path | str | None = None, *, spatial: bool = F
     if experiment.dimension == 3 and not spatial:
         raise InputError(
             f"{path}: dimension: given 3; allowed 2, because this command computes in the plane; "
-            "`slider simulate` computes in three dimensions"
+            "`slider simulate` and `slider swim` compute in three dimensions"
         )
     return experiment
 

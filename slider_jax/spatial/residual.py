@@ -75,11 +75,11 @@ def turning_in_cells(theta: Vec, stage: SpatialStage) -> Turning:
     frame, omega = frame_and_omega(theta, stage)
     (p, before), (q, after) = (at((frame, omega), where) for where in (LEFT, RIGHT))
     turn = rotation_vector(p.inverse().after(q))
-    return Turning(
-        before.plus(after).times(0.5),
-        turn.times(1.0 / stage.structure.ds),
-        p.after(turned(turn.times(0.5))),
-    )
+    per_length = 1.0 / stage.structure.ds
+    mean, curvature = before.plus(after).times(0.5), turn.times(per_length)
+    slope = after.minus(before).times(per_length)
+    middle = p.after(turned(turn.times(0.5)))
+    return Turning(mean, curvature, slope.plus(curvature.cross(mean)), middle)
 
 
 def means_and_slopes(y: Float[Array, "12 nodes"], ds) -> tuple[SpatialFields, SpatialFields]:
@@ -140,8 +140,8 @@ def _columns(function, values: Float[Array, "n cells"]) -> Float[Array, "rows n 
 
 def _by_theta(
     theta: Float[Array, "3 nodes"], turning: Turning, stage: SpatialStage
-) -> Float[Array, "9 6 cells"]:
-    """Returns the derivatives of omega, Omega and the small rotation of the middle by theta.
+) -> Float[Array, "12 6 cells"]:
+    """Returns the derivatives by theta: of omega, Omega, dOmega/dt, small rotation of the middle.
 
     A change of theta turns the frame of its node by psi = `turning_of`(theta, change). The turn v
     between the two nodes of a cell then changes by rate_of(v, psi_right) - rate_of(-v, psi_left).
@@ -157,10 +157,15 @@ def _by_theta(
     right = rate_of(turn, after)
     in_middle = turned(half).to_frame(jnp.stack(before))
     small = turning_of(half, left.times(0.5)).plus(in_middle), turning_of(half, right.times(0.5))
-    columns = [
-        jnp.concatenate([0.5 * w, jnp.stack(v) / ds, jnp.stack(m)])
-        for w, v, m in zip((omega[..., :-1], omega[..., 1:]), (left, right), small, strict=True)
-    ]
+    columns = []
+    for side, w, v, m in zip(
+        (-1.0, 1.0), (omega[..., :-1], omega[..., 1:]), (left, right), small, strict=True
+    ):
+        by_mean, by_curvature = Vec(*(0.5 * w)), v.times(1.0 / ds)
+        crossed = by_curvature.cross(turning.omega).plus(turning.curvature.cross(by_mean))
+        by_rate = side * w / ds + jnp.stack(crossed)
+        parts = [jnp.stack(by_mean), jnp.stack(by_curvature), by_rate, jnp.stack(m)]
+        columns.append(jnp.concatenate(parts))
     return jnp.concatenate(columns, axis=1)
 
 
@@ -192,9 +197,9 @@ def _by_loads(
 def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOperator:
     """Returns the blocks of d(residual)/dy.
 
-    The rows depend on means and slopes of T, M and V, and on omega, Omega and a small rotation of
-    the frame. The rotations depend on theta at the two nodes of the cell. `_by_loads` knows the
-    derivatives by T and M, except the one by the tension, which changes the strain.
+    The rows depend on means and slopes of T, M and V, and on omega, Omega, dOmega/dt and a small
+    rotation of the frame. The rotations depend on theta at the two nodes of the cell. `_by_loads`
+    knows the derivatives by T and M, except the one by the tension, which changes the strain.
     """
     ds = stage.structure.ds
     mid, slope = means_and_slopes(y, ds)
@@ -203,19 +208,21 @@ def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOp
     middle = turning.frame
 
     def rows(values):
-        V, V_s, omega, curvature, small = vectors(values[1:])
+        V, V_s, omega, curvature, curvature_t, small = vectors(values[1:])
         moved = middle.after(Quaternion(jnp.ones_like(ds), *small.times(0.5)))
         here = mid._replace(T=mid.T._replace(tau=values[0]), V=V)
         there = slope._replace(V=V_s)
-        return jnp.stack(spatial_cell_rows(here, there, Turning(omega, curvature, moved), stage))
+        turning = Turning(omega, curvature, curvature_t, moved)
+        return jnp.stack(spatial_cell_rows(here, there, turning, stage))
 
-    parts = (mid.T.tau, *mid.V, *slope.V, *turning.omega, *turning.curvature)
+    rotations = (*turning.omega, *turning.curvature, *turning.curvature_t)
+    parts = (mid.T.tau, *mid.V, *slope.V, *rotations)
     values = jnp.stack([*parts, *[jnp.zeros_like(ds)] * 3])
     by_value, by_theta = _keep((_columns(rows, values), _by_theta(y[9:], turning, stage)))
     of_loads, of_their_slopes = _by_loads(mid, turning.curvature, stage)
     to_mid = jnp.concatenate([by_value[:, :1], of_loads, by_value[:, 1:4]], axis=1)
     to_slope = jnp.concatenate([of_their_slopes, by_value[:, 4:7]], axis=1)
-    to_theta = sum(by_value[:, 7 + k, None] * by_theta[None, k] for k in range(9))
+    to_theta = sum(by_value[:, 7 + k, None] * by_theta[None, k] for k in range(12))
     from_mid, from_slope = 0.5 * to_mid, to_slope / ds
     return BeamOperator(
         left=jnp.concatenate([from_mid - from_slope, to_theta[:, :3]], axis=1),

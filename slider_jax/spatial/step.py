@@ -48,14 +48,13 @@ from slider_jax.water import WaterField
 class SpatialMemory(eqx.Module):
     """Values that one stage passes to the next one, to compute time derivatives.
 
-    `V` [m/s], `omega` [rad/s] and `theta` [rad] (3, nodes), `curvature` (3, cells) [1/m], `strain`
-    (cells,) [-] and position `head` (3,) [m]. theta is relative to the start of the step.
+    `V` [m/s], `omega` [rad/s] and `theta` [rad] (3, nodes), `strain` (cells,) [-] and position
+    `head` (3,) [m]. theta is relative to the start of the step.
     """
 
     V: Float[Array, "3 nodes"]
     omega: Float[Array, "3 nodes"]
     theta: Float[Array, "3 nodes"]
-    curvature: Float[Array, "3 cells"]
     strain: Float[Array, " cells"]
     head: Float[Array, "3"]
 
@@ -220,7 +219,6 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
         reference = SpatialReference(
             V=mean_of(memory.V),
             omega=mean_of(memory.omega),
-            curvature=Vec(*memory.curvature),
             strain=memory.strain,
             twist_slope=slope,
             dt=dt,
@@ -267,7 +265,6 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             V=jnp.stack(V),
             omega=jnp.stack(omega),
             theta=jnp.stack(theta),
-            curvature=jnp.stack(turning.curvature),
             strain=strain_in_space(grid.mid(y[0]), mesh.structure, reference),
             head=anchor,
         )
@@ -280,7 +277,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
         new = SpatialCarry(
             history=appended(carry.history, y[:9]),
             frames=appended(carry.frames, quaternions),
-            twist=appended(carry.twist, state.curvature[0]),
+            twist=appended(carry.twist, jnp.where(ok, turning.curvature.tau, carry.twist[-1])),
             memory=state,
             chambers=chambers,
             ok=ok,
@@ -344,12 +341,7 @@ def at_rest_in_space(
     V = jnp.stack(ahead.plus(behind)) + 0.0 * s
     omega = jnp.stack(turning)[:, None] + 0.0 * s
     memory = SpatialMemory(
-        V=V,
-        omega=omega,
-        theta=jnp.zeros_like(V),
-        curvature=jnp.zeros_like(V[:, 1:]),
-        strain=zero[1:],
-        head=jnp.zeros(3),
+        V=V, omega=omega, theta=jnp.zeros_like(V), strain=zero[1:], head=jnp.zeros(3)
     )
     y = jnp.concatenate([jnp.zeros((6, len(s))), V])
     frames = jnp.stack(frame)[:, None] + 0.0 * s

@@ -65,15 +65,19 @@ def example_climber() -> Experiment:
 
 
 def given_or(
-    default: Callable[[], Experiment], path: Path | None, model: Path | None
+    default: Callable[[], Experiment],
+    path: Path | None,
+    model: Path | None,
+    *,
+    spatial: bool = False,
 ) -> Experiment:
-    """Returns the experiment of the file `path`, changed by the file `model`.
+    """Returns the experiment of the file `path`, changed by the file `model`; see `load`.
 
     Without `path`, returns `default()`. Raises `InputError` as `load` does, and for a model file
     without an experiment.
     """
     if path is not None:
-        return load(path, model)
+        return load(path, model, spatial=spatial)
     if model is not None:
         raise InputError("--model: this file changes an experiment; give EXPERIMENT.toml too")
     return default()

@@ -9,6 +9,7 @@ import numpy as np
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.swimming.free_swim import AT_ONCE, Swim
 from slider_jax.swimming.paper_optimum import Published
+from slider_jax.swimming.swim_in_space import SwimInSpace
 
 ROWS = (
     ("speed_m_per_s", "speed U", "cm/s", 1e2),
@@ -29,6 +30,22 @@ ROWS = (
     ("turning_rad_per_stride", "turning, per stride", "mrad", 1e3),
 )
 """Name in `swim_record`, label, displayed unit, factor from the SI unit to the displayed unit."""
+
+SPATIAL_ROWS = (
+    ("speed_m_per_s", "speed U", "cm/s", 1e2),
+    ("rising_m_per_s", "upward part of the speed", "cm/s", 1e2),
+    ("turning_rad_per_s", "turning, seen from above", "rad/s", 1.0),
+    ("rolling_rad_per_s", "rolling", "rad/s", 1.0),
+    ("roll_rad", "mean roll", "rad", 1.0),
+    ("pitch_rad", "mean pitch, head up", "rad", 1.0),
+    ("tail_amplitude_m", "tail amplitude A_t, in the plane", "mm", 1e3),
+    ("tail_amplitude_out_of_plane_m", "tail amplitude, out of the plane", "mm", 1e3),
+    ("tail_twist_rad", "largest twist of the tail", "rad", 1.0),
+    ("head_amplitude_m", "head amplitude, in the plane", "mm", 1e3),
+    ("head_amplitude_out_of_plane_m", "head amplitude, out of the plane", "mm", 1e3),
+    ("power_W", "power P", "W", 1.0),
+)
+"""`ROWS` for `spatial_swim_record`."""
 
 
 def value_lines(record: dict[str, Any], rows: tuple[tuple[str, str, str, float], ...]) -> list[str]:
@@ -141,4 +158,54 @@ def plot_swim(swim: Swim, path: Path) -> None:
         below.axhline(speed, color="C3", ls="--", lw=1.0, label=f"steady: {speed:.2f} cm/s")
     below.set(xlabel="time (s)", ylabel="speed (cm/s)")
     below.legend(fontsize="small")
+    save_figure(figure, path)
+
+
+def spatial_swim_summary(swim: SwimInSpace, row: dict[str, Any]) -> list[str]:
+    """Returns the table of the quantities and a sentence about the steady speed."""
+    count, speed = len(swim.velocity), f"{1e2 * row['speed_m_per_s']:.2f} cm/s"
+    if swim.repeats:
+        text = f"steady: after {count} strides from rest, strides repeat at {speed}"
+    else:
+        text = f"not steady: after {count} strides from rest, strides still change; speed {speed}"
+        if not swim.resisting:
+            text += "; no effect resists motion along the body: add an effect such as head_drag"
+    return [*value_lines(row, SPATIAL_ROWS), text]
+
+
+def spatial_stride_columns(swim: SwimInSpace) -> dict[str, np.ndarray]:
+    """Returns the columns of the last stride's table; the origin is the head at the start."""
+    steps, stride = swim.search.steps_per_stride, swim.stride
+    columns = {"t_s": np.arange(1.0, steps + 1.0) / (steps * swim.frequency)}
+    for name, series in (
+        ("velocity_{}_m_per_s", stride.velocity),
+        ("head_{}_m", stride.midline[:, :, -1]),
+        ("tip_{}_m", stride.midline[:, :, 0]),
+    ):
+        columns |= {name.format(x): np.asarray(series[:, i]) for i, x in enumerate("xyz")}
+    twist, power = np.asarray(stride.tail_twist), np.asarray(stride.power)
+    return columns | {"tail_twist_rad": twist, "power_W": power}
+
+
+def plot_spatial_swim(swim: SwimInSpace, path: Path) -> None:
+    """Plots the head's path, the speed, and the attitude against time."""
+    figure, axes = new_figure(2, 2, figsize=(9, 6))
+    (above, speed), (side, attitude) = axes
+    x, y, z = np.concatenate([np.zeros((1, 3)), swim.head]).T
+    for axis, up, label in ((above, y, "y (m)"), (side, z, "z (m)")):
+        axis.plot(x, up, "C0", lw=1.2)
+        axis.plot(x[0], up[0], "C0o", ms=4)
+        axis.set(xlabel="x (m)", ylabel=label)
+        axis.axis("equal")
+    above.set_title("path of the head from above; dot: start", fontsize="medium")
+    side.set_title("path of the head from the side", fontsize="medium")
+    t = np.arange(1.0, len(swim.velocity) + 1.0) / swim.frequency
+    speed.plot(t, 1e2 * np.linalg.norm(swim.velocity, axis=1), "C0", label="speed")
+    speed.plot(t, 1e2 * swim.velocity[:, 2], "C1", label="upward part")
+    speed.set(xlabel="time (s)", ylabel="mean speed in a stride (cm/s)")
+    for name, angle in vars(swim.attitude).items():
+        attitude.plot(t, np.unwrap(np.asarray(angle)), label=name)
+    attitude.set(xlabel="time (s)", ylabel="mean angle in a stride (rad)")
+    for axis in (speed, attitude):
+        axis.legend(fontsize="small")
     save_figure(figure, path)

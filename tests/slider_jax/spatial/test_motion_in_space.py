@@ -16,7 +16,7 @@ from slider_jax.beam.spatial import Vec, about_tau, rate_of, rotation_vector, tu
 from slider_jax.dynamics.model import SpaceSettings
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.time_schemes import BACKWARD_EULER, SDIRK2
-from slider_jax.effects import NormalDrag, ReactiveForce
+from slider_jax.effects import NormalDrag, ReactiveForce, total_load
 from slider_jax.effects.body.gravity import Gravity
 from slider_jax.effects.body.tail_stiffness import TailStiffness
 from slider_jax.effects.water.tangential_friction import TangentialFriction
@@ -26,6 +26,7 @@ from slider_jax.rod.loads import RodLoads
 from slider_jax.rod.rod import Rod
 from slider_jax.spatial.step import at_rest_in_space, spatial_rollout
 from slider_jax.supports import Clamped, Free, PinnedLink
+from slider_jax.swimming.swim_in_space import spatial_chamber_power
 from tests.support.helpers import SMALL, arrays, order, swimmer, uniform
 
 L, EI_N, EI_B, GJ, J, MASS = 0.368, 0.152, 0.038, 0.05, 2e-5, 0.7
@@ -127,22 +128,30 @@ def test_torsional_and_bending_frequencies():
 
 
 @pytest.mark.slow
-def test_spin_and_slip_decay_as_the_drag_demands():
-    """omega0/(1 + omega0 K t/J) and u0/(1 + u0 rho C_d H t/(2 (m + m_A))), to 1e-4."""
-    effects = (ReactiveForce(1.0), NormalDrag(2.0))
-    model = spatial(uniform(L=L, EI=EI_B, effects=effects, support=Free()))
+def test_spin_and_slip_decay_and_buoyancy_rights_the_body():
+    """omega0/(1 + omega0 K t/J) and u0/(1 + u0 rho C_d H t/(2 (m + m_A))), to 1e-4; without drag, a
+    roll of phi0 becomes phi0 cos(t sqrt(rho A g d/J)), to 1e-3 of phi0."""
+    rho, g, d, phi0 = 1000.0, 9.81, 0.005, 0.01
+
+    def model_of(C_d, g):
+        gravity = Gravity(g, elevation=math.pi / 2, buoyancy_b=d, density=rho)
+        effects = (ReactiveForce(1.0), NormalDrag(C_d), gravity)
+        model = spatial(uniform(L=L, EI=EI_B, effects=effects, support=Free()))
+        afloat = model.robot.with_parts(lambda p: replace(p, area=jnp.asarray(MASS / rho)))
+        return replace(model, robot=afloat)
 
     @jax.jit
-    def run(V, omega):
-        begin = moving(at_rest_in_space(model, SMALL), V, omega)
+    def run(model, begin):
         save = lambda x: (x.memory.omega[0, 3], x.memory.V[1, 3], x.frame)  # noqa: E731
         return spatial_rollout(
             model, TimeGrid(1e-3, 100), save, SMALL, begin=begin, checkpoint=False
         )
 
-    nodes, H, rho = SMALL.nodes, 0.03, 1000.0
-    none = jnp.zeros((3, nodes))
-    spin, slip = run(none, none.at[0].set(50.0)), run(none.at[1].set(0.5), none)
+    nodes, H = SMALL.nodes, 0.03
+    none, heavy = jnp.zeros((3, nodes)), model_of(2.0, 0.0)
+    still = at_rest_in_space(heavy, SMALL)
+    spin = run(heavy, moving(still, none, none.at[0].set(50.0)))
+    slip = run(heavy, moving(still, none.at[1].set(0.5), none))
     t = np.array(spin.t)
     inertia, K = J + np.pi * rho * H**4 / 128, rho * 2.0 * H**4 / 64
     np.testing.assert_allclose(spin.saved[0], 50 / (1 + 50 * K * t / inertia), rtol=1e-4)
@@ -150,6 +159,10 @@ def test_spin_and_slip_decay_as_the_drag_demands():
     np.testing.assert_allclose(slip.saved[1], 0.5 / (1 + 0.5 * rho * 2 * H * t / (2 * mass)), 1e-4)
     norm = np.linalg.norm(np.array(spin.saved[2]), axis=1)
     np.testing.assert_allclose(norm, 1.0, rtol=0, atol=1e-12)
+    rolled = at_rest_in_space(heavy, SMALL, 0.0, about_tau(jnp.asarray(phi0)))
+    roll = 2.0 * np.array(run(model_of(0.0, g), rolled).saved[2])[:, 1, 3]
+    right = phi0 * np.cos(t * np.sqrt(MASS * g * d / inertia))
+    np.testing.assert_allclose(roll, right, rtol=0, atol=1e-3 * phi0)
 
 
 @pytest.mark.slow
@@ -193,6 +206,40 @@ def readings(model, steps, span, numerics, scheme=SDIRK2):
 
     times = TimeGrid(span / steps, steps)
     return spatial_rollout(model, times, save, numerics, scheme)
+
+
+def dot(p, q):
+    return sum(x * y for x, y in zip(p, q, strict=True))
+
+
+def powers(x, angles):
+    """Returns the power [W] of the chambers, and what is left of it after all losses."""
+    c, s, integral, old = x.section(), x.mesh.structure, x.mesh.grid.integral, x.stage.reference
+    strain_t = (c.strain - old.strain) / old.dt
+    bend = [k * w for k, w in zip(s.stiffness, c.curvature, strict=True)]
+    viscous = [k * w for k, w in zip(s.stiffness, c.curvature_t, strict=True)]
+    spin = [j * w for j, w in zip(s.inertia, c.omega, strict=True)]
+    load = total_load(x.stage.effects, c)
+    stored = s.linear_density * dot(c.V, c.V.minus(old.V).times(1.0 / old.dt)) + dot(
+        spin, c.omega_t
+    )
+    stored += dot(bend, c.curvature_t) + s.EA * c.strain * strain_t
+    lost = s.damping_time * (dot(viscous, c.curvature_t) + s.EA * strain_t**2)
+    given = -(1.0 + c.strain) * (dot(load.force, c.V) + dot(load.couple, c.omega))
+    chambers = jnp.sum(spatial_chamber_power(x, angles))
+    return chambers, chambers - integral(stored + lost + given)
+
+
+def test_the_powers_balance_at_every_step():
+    """The work of the chambers is stored, dissipated or given to the water, to 1e-9 of the power.
+    The body bends alike in both planes, and twists."""
+    model = replace(strip_swimmer(EI_n=0.02), space=SpaceSettings(jnp.array([0.7, -0.7])))
+    numerics = replace(SMALL, tolerance=1e-11)
+    save = lambda x: (*powers(x, model.space.angles), x.section().curvature.n)  # noqa: E731
+    run = jax.jit(lambda m: spatial_rollout(m, TimeGrid(5e-3, 60), save, numerics))(model)
+    chambers, left, bent = (np.array(x) for x in run.saved)
+    assert run.ok and np.abs(bent).max() > 0.5
+    np.testing.assert_allclose(left, 0.0, atol=1e-9 * np.abs(chambers).max())
 
 
 @pytest.mark.slow
