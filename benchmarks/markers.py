@@ -85,13 +85,29 @@ def make_tank(seed: int, folder: Path) -> dict[str, float]:
 
 
 def lines_of(report: dict[str, Any], truth: dict[str, float]) -> list[str]:
-    """Returns the verdict and one line for each true value."""
-    return [json.dumps(report["verdict"]), *(f"{k} true {x:.6g}" for k, x in truth.items())]
+    """Returns the effects found, and one line for each true value with its interval of 95 %."""
+    found = dict(report["parameters"])
+    for effect in report["effects"]:
+        found |= {f"{effect['name']}.{key}": x for key, x in effect["parameters"].items()}
+    names = ", ".join(
+        " or ".join([effect["name"], *effect["class"]]) for effect in report["effects"]
+    )
+    lines = [f"{report['verdict']}: {names}"]
+    for key, true in truth.items():
+        x = found.get(key)
+        if x is None:
+            lines.append(f"{key}: true {true:.5g}, not found")
+            continue
+        holds = "holds" if x["low"] <= true <= x["high"] else "does not hold"
+        lines.append(
+            f"{key}: {x['value']:.5g} ({x['low']:.5g} to {x['high']:.5g}) {holds} {true:.5g}"
+        )
+    return lines
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--tanks", type=int, default=len(HIDDEN))
+    parser.add_argument("--tanks", type=int, choices=range(1, len(HIDDEN) + 1), default=len(HIDDEN))
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     prepare_jax()

@@ -18,8 +18,7 @@ class PneumaticActuator:
     name: str
     side: Literal["both", "left", "right"] = "both"
     limit: float = inf
-    """Highest set pressure [Pa]. Larger set pressures of a drive are cut off, as in the simulator.
-    """
+    """Highest set pressure [Pa]. A drive with a larger set pressure is refused."""
     column: str = ""
     """Column of the signed pressure in a trial's CSV file; "" for the column p_NAME_Pa."""
 
@@ -33,10 +32,9 @@ class PneumaticActuator:
         """Whether the actuator has a right chamber."""
         return self.side != "left"
 
-    @property
-    def extremes(self) -> tuple[float, float]:
-        """The lowest and the highest signed set pressure [Pa]."""
-        return -self.limit if self.right else 0.0, self.limit if self.left else 0.0
+    def possible(self, signed: float) -> float:
+        """Returns the signed pressure [Pa], or 0 if it has the side of a chamber that is absent."""
+        return (max(signed, 0.0) if self.left else 0.0) + (min(signed, 0.0) if self.right else 0.0)
 
 
 @dataclass(frozen=True)
@@ -53,6 +51,11 @@ class ChamberLayout:
         """Names of the chambers: NAME_left and NAME_right for a pair, NAME for a single chamber."""
         sides = {"both": ("_left", "_right")}
         return tuple(x.name + end for x in self.actuators for end in sides.get(x.side, ("",)))
+
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """Highest set pressure [Pa] of each chamber."""
+        return tuple(x.limit for x in self.actuators for _ in range(x.left + x.right))
 
     @property
     def columns(self) -> tuple[str, ...]:

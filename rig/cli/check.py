@@ -54,9 +54,12 @@ def rig_check(
             raise InputError(f"--out {out}: is a folder; give a file, such as {out / 'check.json'}")
         output_folder(out.parent)
     settings = load_rig(rig)
-    names = layout_in(experiment).names
-    limits = PressureLimits.of(settings.manifold.limits, names)
-    limits.checked([pressure] * len(names))
+    layout = layout_in(experiment)
+    limits = PressureLimits.of(settings.manifold.limits, layout, f"{rig}: manifold.limits")
+    for name, limit in zip(limits.chambers, limits.pressures, strict=True):
+        if pressure > limit:
+            allowed = f"at most {limit:g} Pa, the limit of the chamber {name}"
+            raise InputError.value("--pressure", f"{pressure:g}", allowed)
     forces = None
     if settings.force is not None:
         print("force sensor ...", file=sys.stderr)
@@ -85,7 +88,9 @@ def rig_check(
     if len(trip):
         median = sorted(trip)[len(trip) // 2]
         print(f"answer time to a command: median {median:.1f} ms, maximum {trip.max():.1f} ms")
-    for name, offset, noise in zip(channel_names(names), found.offset, found.noise, strict=True):
+    for name, offset, noise in zip(
+        channel_names(layout.names), found.offset, found.noise, strict=True
+    ):
         print(f"{name:<20} at rest {offset:10.1f}, noise {noise:8.2f}")
     for x in found.held:
         print(

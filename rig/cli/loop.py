@@ -16,6 +16,7 @@ from rig.cli.shared import (
     planned_trial,
     with_force_counts,
 )
+from rig.manifold.limits import PressureLimits
 from slider_jax.cli.options import Folder, Range, Whole
 from slider_jax.cli.progress import timed_printer
 from slider_jax.errors import InputError
@@ -65,6 +66,8 @@ def rig_loop(
 
     settings = load_rig(rig)
     given = load(experiment)
+    chambers = layout_in(experiment)
+    limits = PressureLimits.of(settings.manifold.limits, chambers, f"{rig}: manifold.limits")
     if len(given.trials) < DEFAULT_SETTINGS.min_trials:
         raise InputError.value(
             f"{experiment}: trials", len(given.trials), f"{DEFAULT_SETTINGS.min_trials} or more"
@@ -81,10 +84,13 @@ def rig_loop(
         # The pressures of a chamber are its ratio times the amplitude, and its bias.
         ratios = [abs(x) for t in now.trials for x in (t.rear_ratio, *(t.ratios or ()))]
         bias = max([0.0, *(abs(x) for t in now.trials for x in t.biases or ())])
-        highest = (min(settings.manifold.limits) - bias) / max(1.0, *ratios)
-        limits = limits_of(now, allowed)
-        low, high = limits.amplitude
-        return limits._replace(amplitude=(min(low, highest), min(high, highest)))
+        highest = (min(limits.pressures) - bias) / max(1.0, *ratios)
+        if highest < 1e3:
+            allowed_bias = f"at most {min(limits.pressures) - 1e3:g} Pa, below the lowest limit"
+            raise InputError.value(f"{experiment}: largest bias", f"{bias:g}", allowed_bias)
+        ranges = limits_of(now, allowed)
+        low, high = ranges.amplitude
+        return ranges._replace(amplitude=(min(low, highest), min(high, highest)))
 
     within(given)  # refuses invalid ranges before the rig moves
     settings = with_force_counts(settings)

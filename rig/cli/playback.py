@@ -78,8 +78,8 @@ class DrivePlayer:
             self._failure = error
 
     def _run(self) -> None:
-        names = self._trial.drive.layout.names
-        limits = PressureLimits.of(self._settings.manifold.limits, names)
+        layout, given = self._trial.drive.layout, self._settings.manifold.limits
+        limits = PressureLimits.of(given, layout, "manifold.limits of the rig file")
         self._trial.check(limits)
         stream = self.stream
         manifold = Manifold(

@@ -62,11 +62,12 @@ def rig_run(
     layout = trials[0].drive.layout
     changes: dict[str, dict[str, Any]] = {}
     if limit is not None:
-        PressureLimits.of(limit, layout.names, "--limit")
+        PressureLimits.of(limit, layout, "--limit")
         changes["manifold"] = {"limits": list(limit)}
     if force is not None:
         changes["force"] = {"host": force}
     settings = load_rig(rig, changes)
+    PressureLimits.of(settings.manifold.limits, layout, f"{rig}: manifold.limits")
     for trial in table.trials:
         warn_of_moving_clamp(trial)
     settings = with_force_counts(settings)

@@ -20,6 +20,7 @@ from rig.force.ati_net import NetCalibration, NetForce
 from rig.force.sensor import ForceSource, SensorMounting, force_reader
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
+from rig.protocol.messages import MOST_CHAMBERS
 from rig.recording.table import StreamReader
 from rig.scheduling import real_time_priority
 from rig.trial.capture import (
@@ -83,7 +84,11 @@ def layout_of(experiment: ExperimentTable, path: Path) -> ChamberLayout:
     if not found:
         allowed = "one or more pneumatic actuators, which the rig drives"
         raise InputError.value(f"{path}: the robot's chambers", "none", allowed)
-    return ChamberLayout(found)
+    layout = ChamberLayout(found)
+    if len(layout.names) > MOST_CHAMBERS:
+        allowed = f"at most {MOST_CHAMBERS}, because a reading must fit into a frame"
+        raise InputError.value(f"{path}: the robot's chambers", len(layout.names), allowed)
+    return layout
 
 
 def copy_experiment(path: Path, folder: Path) -> None:
@@ -217,7 +222,7 @@ def open_rig(port: str, table: RigTable, layout: ChamberLayout) -> Iterator[Rig]
     from rig.manifold.serial_port import open_port
 
     settings = table.manifold
-    limits = PressureLimits.of(settings.limits, layout.names)
+    limits = PressureLimits.of(settings.limits, layout, "manifold.limits of the rig file")
     sinks = ManifoldSinks(SwitchableSink(), SwitchableSink())
     with ExitStack() as stack:
         stack.enter_context(signals_as_ctrl_c())

@@ -195,6 +195,7 @@ def _tank(
     """Returns the simulated tank, its function `inject(name, value)` for the named `faults`, and
     the number of its chambers."""
     from rig.chambers import SLIDER
+    from rig.cli.shared import layout_of
     from rig.simulated.tank import BenchTank
 
     if experiment is not None:
@@ -210,6 +211,7 @@ def _tank(
         prepare_jax()
         load_all_effects(effects)
         loaded = load(experiment, model)
+        layout_of(loaded, experiment)  # refuses a robot that the protocol cannot drive
         moving = [t.file for t in loaded.trials if t.tow_speed or t.clamp_moves]
         if moving:
             print(

@@ -23,6 +23,7 @@ from rig.cli.shared import (
     warn_of_moving_clamp,
     with_force_counts,
 )
+from rig.manifold.limits import PressureLimits
 from rig.recording.table import format_value
 from rig.scheduling import raise_priority
 from rig.trial.live_stream import LiveReadings
@@ -77,7 +78,9 @@ def rig_watch(
     settings = with_force_counts(load_rig(rig))
     if settings.camera is not None:
         print("the camera is not used: it yields the tip only after a trial", file=sys.stderr)
-    played = planned_trial(chosen, layout_of(loaded, experiment), experiment)
+    layout = layout_of(loaded, experiment)
+    played = planned_trial(chosen, layout, experiment)
+    played.check(PressureLimits.of(settings.manifold.limits, layout, f"{rig}: manifold.limits"))
     duration = played.duration if seconds is None else seconds
     if not duration > 0.0:
         raise InputError.value("--seconds", f"{duration:g}", "more than 0")

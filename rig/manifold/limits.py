@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 
+from rig.chambers import ChamberLayout
 from rig.errors import RigError
 from rig.protocol.messages import Ident
 
@@ -21,13 +22,14 @@ class PressureLimits:
 
     @classmethod
     def of(
-        cls, pressures: Sequence[float], chambers: Sequence[str], where: str = "limits"
+        cls, pressures: Sequence[float], layout: ChamberLayout, where: str = "limits"
     ) -> "PressureLimits":
         """Returns the limits from one pressure for all chambers, or from one for each chamber [Pa].
 
-        Raises `RigError` for a wrong number or value of pressures. Its message starts with `where`.
+        The limit of a chamber is at most that of its actuator. Raises `RigError` for a wrong number
+        or value of pressures. Its message starts with `where`.
         """
-        names, count = tuple(chambers), len(chambers)
+        names, count = layout.names, len(layout.names)
         if len(pressures) not in (1, count):
             raise RigError.value(
                 where, f"{len(pressures)} pressures", f"one for all chambers, or {count}",
@@ -42,7 +44,7 @@ class PressureLimits:
                     f"1e3 to {LARGEST_LIMIT:g} Pa",
                     "not kPa or psi",
                 )
-        return cls(names, given)
+        return cls(names, tuple(map(min, given, layout.limits)))
 
     def within(self, ident: Ident) -> "PressureLimits":
         """Returns these limits.

@@ -227,6 +227,13 @@ _LAYOUTS = {code: (kind, struct.Struct(fixed), n) for code, (kind, fixed, n) in 
 _CODES = {kind: code for code, (kind, *_) in _TABLE.items()}
 
 
+MOST_CHAMBERS = (LONGEST_FRAME - 2 - 1 - _LAYOUTS[_CODES[Reading]][1].size - 4) // 4 - len(
+    OTHER_CHANNELS
+)
+"""Largest number of chambers with which a `Reading` fits into a frame. The frame has the COBS byte,
+the final zero, the type byte and the CRC, besides the fields of the message."""
+
+
 def channel_names(chambers: Sequence[str]) -> tuple[str, ...]:
     """Returns the names of a reading's channels, with their units."""
     return (*(f"p_{name}_Pa" for name in chambers), *OTHER_CHANNELS)

@@ -8,12 +8,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from rig.chambers import SLIDER, ChamberLayout
 from rig.errors import RigError
 from rig.files import save_csv, save_json
 from rig.force.sensor import ForceSource
@@ -194,22 +194,24 @@ def _drive(trial: PlannedTrial) -> dict[str, Any]:
     drive: dict[str, Any] = {key: getattr(trial.drive, key) for key in keys}
     if any(trial.drive.biases):
         drive["biases"] = trial.drive.biases
-    if any(isfinite(x.limit) for x in trial.drive.layout.actuators):
-        drive["limits"] = [
-            x.limit if isfinite(x.limit) else None for x in trial.drive.layout.actuators
-        ]
+    drive["actuators"] = _actuators(trial.drive.layout)
     for key in ("times", "recorded"):
         if (array := getattr(trial.drive, key)) is not None:
             drive[f"{key}_sha256"] = hashlib.sha256(np.asarray(array).tobytes()).hexdigest()
     return {"duration_s": trial.duration, "drive": drive}
 
 
-def _per_actuator(drive: dict[str, Any]) -> dict[str, Any]:
-    """Returns a drive of an earlier record with `ratios` and `phases`.
+def _actuators(layout: ChamberLayout) -> list[list[str]]:
+    both = zip(layout.actuators, layout.columns, strict=True)
+    return [[x.name, x.side, column] for x, column in both]
 
-    Records of earlier versions have `rear_ratio` and `phase`, and always two actuators.
+
+def _per_actuator(drive: dict[str, Any]) -> dict[str, Any]:
+    """Returns a drive of an earlier record with `ratios`, `phases` and `actuators`.
+
+    Records of earlier versions have `rear_ratio` and `phase`, and the actuators of SLIDER.
     """
-    found = dict(drive)
+    found = {"actuators": _actuators(SLIDER)} | drive
     if "rear_ratio" in found:
         found["ratios"], found["phases"] = [1.0, found.pop("rear_ratio")], [0.0, found.pop("phase")]
     return found

@@ -22,7 +22,7 @@ class ChamberDrive:
     `ratios` to the amplitude (default: 1), its delay in `phases` periods (default: 0) and its
     constant `biases` [Pa] (default: 0). `rise` is the duration of a trapezoid's ramp in periods.
     The waveform "recorded" uses only `times` [s] (n,) and the set pressures `recorded` [Pa]
-    (n, actuators). All set pressures are cut off at the limits of the actuators.
+    (n, actuators). A single chamber has no pressure on the other side.
     """
 
     waveform: Waveform
@@ -46,6 +46,9 @@ class ChamberDrive:
         if self.waveform == "recorded":
             if self.times is None or self.recorded is None:
                 raise RigError("drive: times or pressures are missing; a recorded drive needs both")
+            shape, allowed = self.recorded.shape, (len(self.times), count)
+            if shape != allowed:
+                raise RigError.value("drive's recorded pressures, shape", shape, f"{allowed}")
             if not (np.isfinite(self.times).all() and np.isfinite(self.recorded).all()):
                 raise RigError("drive: a time or pressure is not finite; give finite numbers")
             return
@@ -64,19 +67,16 @@ class ChamberDrive:
             return (0.0,) * len(self.layout.actuators)
         if self.waveform == "recorded":
             assert self.times is not None and self.recorded is not None
-            return self._cut(float(np.interp(t, self.times, p)) for p in self.recorded.T)
+            return self._possible(float(np.interp(t, self.times, p)) for p in self.recorded.T)
         turns = self.frequency * t
-        return self._cut(
+        return self._possible(
             bias + self.amplitude * ratio * self._shape(turns - phase)
             for ratio, phase, bias in zip(self.ratios, self.phases, self.biases, strict=True)
         )
 
-    def _cut(self, pressures: Iterable[float]) -> tuple[float, ...]:
-        """Returns signed set pressures (actuators,) [Pa], cut off at the actuators' limits."""
-        return tuple(
-            min(max(p, x.extremes[0]), x.extremes[1])
-            for p, x in zip(pressures, self.layout.actuators, strict=True)
-        )
+    def _possible(self, pressures: Iterable[float]) -> tuple[float, ...]:
+        both = zip(pressures, self.layout.actuators, strict=True)
+        return tuple(actuator.possible(p) for p, actuator in both)
 
     def _shape(self, turns: float) -> float:
         """Returns the waveform's value, -1 to 1, after `turns` periods."""
@@ -109,4 +109,4 @@ class ChamberDrive:
         if not duration > 0.0:
             raise RigError.value("duration", f"{duration:g}", "more than 0 s")
         for signed in extremes:
-            limits.checked(self.layout.split(self._cut(signed.tolist())))
+            limits.checked(self.layout.split(signed.tolist()))

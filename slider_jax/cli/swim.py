@@ -66,11 +66,8 @@ def _swim_in_space(
 ) -> None:
     from slider_jax.cli.progress import Progress
     from slider_jax.swimming import report
-    from slider_jax.swimming.swim_in_space import (
-        simulate_swim_in_space,
-        spatial_swim_record,
-        swimmer_in_space,
-    )
+    from slider_jax.swimming.free_swim import free_swimmer
+    from slider_jax.swimming.swim_in_space import simulate_swim_in_space, spatial_swim_record
 
     def simulated(x, stem: str, say: Callable[[str], None]):
         say("compiling and swimming from rest")
@@ -81,10 +78,7 @@ def _swim_in_space(
         text = report.spatial_swim_summary(found, row)
         return row, report.spatial_stride_columns(found), text
 
-    def check(x):
-        return swimmer_in_space(given, x)
-
-    _run("swim", given, inputs, out, trial, check, simulated, {})
+    _run("swim", given, inputs, out, trial, lambda x: free_swimmer(given, x), simulated, {})
 
 
 def climb(

@@ -31,6 +31,11 @@ class ChamberTable(Table):
     k_ratio: Ratio = 1.0
     angle: Annotated[float, Quantity(-6.2832, 6.2832, "rad")] = 0.0
 
+    @property
+    def chambers(self) -> tuple[str, ...]:
+        """Names of the chambers: NAME_left and NAME_right for a pair, NAME for a single chamber."""
+        return (f"{self.name}_left", f"{self.name}_right") if self.side == "both" else (self.name,)
+
     def acts_on(self, side: Literal["left", "right"]) -> bool:
         """Whether the actuator has a chamber on this side of the body."""
         return self.side in ("both", side)
@@ -183,6 +188,12 @@ def check_actuators(actuators: Mapping[str, ActuatorTable], body: float, length:
         if x.name in [y.name for y in before]:
             name = f"{here.rpartition('.')[0]}.name"
             fail(name, repr(x.name), "a name that no other actuator has")
+        if isinstance(x, ChamberTable):
+            pairs = [y for y in before if isinstance(y, ChamberTable)]
+            taken = {name for y in pairs for name in y.chambers}
+            if not taken.isdisjoint(x.chambers):
+                name = f"{here.rpartition('.')[0]}.name"
+                fail(name, repr(x.name), f"a name that no chamber has: {', '.join(sorted(taken))}")
         other = next((y for y in before if _overlap(x, y)), None)
         if other is not None:
             allowed = f"a span outside of {list(other.span)} m, the span of {other.name}"

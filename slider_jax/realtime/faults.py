@@ -1,7 +1,7 @@
 """Defines faults of a plant: leaking chambers, blocked valves and a changed tail stiffness."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,16 +16,12 @@ Places = dict[str, tuple[int, int]]
 
 
 def chamber_places(actuators: Sequence[ChamberTable]) -> Places:
-    """Returns the places of all chambers, actuator by actuator, left before right.
-
-    The chambers of a pair are NAME_left and NAME_right. A single chamber has the actuator's name.
-    """
-    sides: tuple[Literal["left", "right"], ...] = ("left", "right")
+    """Returns the places of all chambers, actuator by actuator, left before right."""
+    columns = {"both": (0, 1), "left": (0,), "right": (1,)}
     return {
-        f"{x.name}_{side}" if x.side == "both" else x.name: (row, column)
+        name: (row, column)
         for row, x in enumerate(actuators)
-        for column, side in enumerate(sides)
-        if x.acts_on(side)
+        for name, column in zip(x.chambers, columns[x.side], strict=True)
     }
 
 

@@ -16,15 +16,15 @@ from slider_jax.beam.spatial import Vec
 from slider_jax.dynamics.model import Model
 from slider_jax.effects.body.gravity import Gravity
 from slider_jax.errors import SolverError
-from slider_jax.experiment.load import Experiment, to_model
+from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 from slider_jax.spatial.step import SpatialCarry, SpatialSnapshot, at_rest_in_space, spatial_rollout
-from slider_jax.swimming.free_swim import REPEATS, resisting, steady_settings
-from slider_jax.swimming.gait import stride_frequency, to_swimmer
+from slider_jax.swimming.free_swim import REPEATS, free_swimmer, resisting, steady_settings
+from slider_jax.swimming.gait import stride_frequency
 from slider_jax.swimming.steady_state import SteadySettings, stride_times
 
-LEAST = 20
-"""Least number of strides from rest."""
+LEAST, MOST = 20, 300
+"""Least and largest number of strides from rest."""
 
 
 class SpatialStride(eqx.Module):
@@ -140,35 +140,30 @@ def _next_stride(
     return run.final, run.saved
 
 
-def swimmer_in_space(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
-    """Returns a trial's frequency [Hz] and free robot. Raises `InputError` for an invalid trial."""
-    return stride_frequency(trial), to_swimmer(to_model(experiment, trial))
-
-
 def simulate_swim_in_space(
     experiment: Experiment,
     trial: Trial | int = 0,
     progress: Callable[[int, int], None] = lambda done, most: None,
-    longest: int = 300,
 ) -> SwimInSpace:
     """Simulates free swimming in three dimensions with a trial's drive, from rest.
 
-    The body starts straight and horizontal, with the trial's `roll`. The simulation takes 20 to
-    `longest` strides and ends early if strides repeat: from stride to stride, the mean velocity in
-    the axes of the body changes by less than 1e-4 of the speed, and the rotation in a stride by
-    less than 1e-4 rad. With gravity, roll and pitch change by less than 1e-4 rad. `progress` is
-    called with the number of strides done, and `longest`. Raises `InputError` for a recorded drive,
-    and `SolverError` if a time step does not converge.
+    The body starts straight and horizontal, with the trial's `roll`. The simulation takes 20 to 300
+    strides and ends early if strides repeat: from stride to stride, the mean velocity in the axes
+    of the body changes by less than 1e-4 of the speed, and the rotation in a stride by less than
+    1e-4 rad. With gravity, the angles of the axes to the vertical change by less than 1e-4 rad.
+    `progress` is called with the number of strides done, and the largest number. Raises
+    `InputError` for a recorded drive, and `SolverError` if a time step does not converge.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
-    frequency, model = swimmer_in_space(experiment, trial)
+    frequency, model = free_swimmer(experiment, trial)
     f, search = jnp.asarray(frequency, float), steady_settings(experiment, frequency)
-    upright = any(isinstance(effect, Gravity) for effect in model.effects)
+    weights = [e for e in model.effects if isinstance(e, Gravity) and float(e.g) != 0.0]
+    up = np.asarray(weights[0].upward()) if weights else None
     carry = at_rest_in_space(model, search.numerics)
     means: list[list[np.ndarray]] = []
     heads, repeats = [], False
-    while not repeats and len(means) < longest:
+    while not repeats and len(means) < MOST:
         carry, stride = _next_stride(model, f, carry, search)
         if not bool(carry.ok):
             at = len(means) / frequency
@@ -179,8 +174,8 @@ def simulate_swim_in_space(
         stride = jax.tree.map(np.asarray, stride)
         means.append([x.mean(axis=0) for x in (stride.velocity, stride.tau, stride.b)])
         heads.append(stride.midline[-1, :, -1])
-        repeats = len(means) >= LEAST and _alike(means[-3:], upright)
-        progress(len(means), longest)
+        repeats = len(means) >= LEAST and _alike(means[-3:], up)
+        progress(len(means), MOST)
     velocity, tau, b = (np.array(x) for x in zip(*means, strict=True))
     attitude = jax.tree.map(np.asarray, attitude_of(jnp.asarray(tau), jnp.asarray(b)))
     return SwimInSpace(
@@ -189,11 +184,11 @@ def simulate_swim_in_space(
     )  # fmt: skip
 
 
-def _alike(means: list[list[np.ndarray]], upright: bool) -> bool:
+def _alike(means: list[list[np.ndarray]], up: np.ndarray | None) -> bool:
     """Returns whether the last of three strides repeats the stride before.
 
     `means` contains velocity, tau and b of each stride. Strides that repeat differ by a shift and a
-    rotation; if `upright`, by a shift and a change of yaw.
+    rotation; with the upward direction `up` of a weight, by a shift and a rotation about `up`.
     """
     axes, own = [], []
     for velocity, tau, b in means:
@@ -203,8 +198,8 @@ def _alike(means: list[list[np.ndarray]], upright: bool) -> bool:
     speed = np.linalg.norm(own[-1]) + 1e-6
     turned = [after @ before.T for before, after in zip(axes, axes[1:], strict=False)]
     changes = [(own[-1] - own[-2]) / speed, turned[-1] - turned[-2]]
-    if upright:
-        changes.append(axes[-1][:, 2] - axes[-2][:, 2])
+    if up is not None:
+        changes.append((axes[-1] - axes[-2]) @ up)
     return bool(max(np.abs(x).max() for x in changes) < REPEATS)
 
 

@@ -7,7 +7,7 @@
 namespace slider {
 
 constexpr size_t LONGEST_FRAME = 192;  // bytes between two zeros; a longer run is noise
-constexpr size_t LONGEST_BODY = 160;   // largest body of `encode`; the manifold sends at most 16 + 4 CHANNELS bytes
+constexpr size_t LONGEST_BODY = LONGEST_FRAME - 6;  // largest body of `encode`: COBS byte, CRC and zero are added
 
 // Returns the CRC-32 as defined by zlib and Ethernet.
 uint32_t crc32(const uint8_t* from, size_t size);

@@ -4,6 +4,8 @@
 
 #include <Watchdog_t4.h>  // comes with Teensyduino
 
+#include <iterator>
+
 #include "manifold_core.h"
 #include "valves.h"
 
@@ -14,9 +16,9 @@ using namespace slider;
 constexpr uint32_t BAUD = 2000000;
 
 // ---- Pins: front left, front right, rear left, rear right ---------------------------------------------------
-constexpr uint8_t FILL_PINS[CHAMBERS] = {2, 3, 4, 5};
-constexpr uint8_t VENT_PINS[CHAMBERS] = {6, 7, 8, 9};
-constexpr uint8_t PRESSURE_PINS[CHAMBERS] = {14, 15, 16, 17};  // A0 to A3
+constexpr uint8_t FILL_PINS[] = {2, 3, 4, 5};
+constexpr uint8_t VENT_PINS[] = {6, 7, 8, 9};
+constexpr uint8_t PRESSURE_PINS[] = {14, 15, 16, 17};  // A0 to A3
 constexpr uint8_t SUPPLY_PIN = 18;                             // A4
 constexpr uint8_t INPUT_PINS[3] = {19, 20, 21};                // A5 to A7
 // True if the vent valves are open without current. Such valves are safer (see rig/firmware/README.md).
@@ -27,7 +29,7 @@ constexpr bool VENT_OPEN_WITHOUT_CURRENT = false;
 struct Line {
     float slope, zero;
 };
-constexpr Line CHAMBER_LINES[CHAMBERS] = {
+constexpr Line CHAMBER_LINES[] = {
     {233.2f, 367.5f}, {233.2f, 367.5f}, {233.2f, 367.5f}, {233.2f, 367.5f}};
 constexpr Line SUPPLY_LINE = {233.2f, 367.5f};
 constexpr float UV_PER_COUNT = 3.3e6f / 4096;
@@ -36,10 +38,17 @@ constexpr float UV_PER_COUNT = 3.3e6f / 4096;
 constexpr int LEAST_COUNT = 120, MOST_COUNT = 4050;
 constexpr int32_t BROKEN_Pa = 10000000;
 
+// The compiler would fill a missing entry with zeros, and such a sensor would keep its fill valve open.
+static_assert(std::size(FILL_PINS) == CHAMBERS && std::size(VENT_PINS) == CHAMBERS &&
+                  std::size(PRESSURE_PINS) == CHAMBERS && std::size(CHAMBER_LINES) == CHAMBERS,
+              "give one entry for each chamber");
+
 // ---- Content of Ident ---------------------------------------------------------------------------------------
 // Set the hard limits to the pressures that your chambers withstand. The published tests reached 372 kPa.
 constexpr uint16_t LONGEST = 2000;
 constexpr Settings SETTINGS = {PROTOCOL, {1, 1, 0}, LONGEST, 500, {400000, 400000, 400000, 400000}};
+
+static_assert(SETTINGS.hard_limits[CHAMBERS - 1] > 0, "give one hard limit for each chamber");
 
 // If the loop hangs for this time [ms], the hardware watchdog resets the board, which vents.
 constexpr double WATCHDOG_MS = 50;

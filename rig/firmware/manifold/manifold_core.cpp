@@ -2,6 +2,8 @@
 
 namespace slider {
 
+static_assert(sizeof(Body::bytes) <= LONGEST_BODY, "a Reading must fit into a frame");
+
 // Readings do not use these bytes of the buffer. They are reserved for answers and events to a slow host.
 static constexpr size_t RESERVED_FOR_ANSWERS = 1024;
 

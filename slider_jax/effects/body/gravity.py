@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.beam.spatial import SpatialLoad, Vec
@@ -51,10 +52,14 @@ class Gravity(ForceDensity):
         weight = mass * self.g * jnp.cos(self.elevation) / (1.0 + x.strain)
         return to_body((-weight * jnp.cos(self.up), -weight * jnp.sin(self.up)), x.phi)
 
-    def load_in_space(self, x):
-        s, level = x.structure, jnp.cos(self.elevation)
+    def upward(self) -> Float[Array, "3"]:
+        """Returns the unit vector (x, y, z) that points upward."""
+        level = jnp.cos(self.elevation)
         axes = level * jnp.cos(self.up), level * jnp.sin(self.up), jnp.sin(self.elevation)
-        up = x.frame.to_frame(jnp.stack([jnp.asarray(a, float) for a in axes]))
+        return jnp.stack([jnp.asarray(a, float) for a in axes])
+
+    def load_in_space(self, x):
+        s, up = x.structure, x.frame.to_frame(self.upward())
         per_length = self.g / (1.0 + x.strain)
         lift = jnp.zeros_like(per_length) if s.area is None else self.density * s.area * per_length
         arm = Vec(jnp.zeros_like(lift), self.buoyancy_n * lift, self.buoyancy_b * lift)

@@ -437,8 +437,9 @@ def test_an_alarm_names_the_chamber_of_any_robot(chamber, cause, side, hint, tmp
     window = Window(residual, model + residual, model, np.zeros((4, 6, 200)), faulty)
     bands = Bands(np.full(6, 0.1), np.zeros(6), np.ones(6))
     test = SequentialTest(bands, channels, experiment.chambers)
-    while not test.alarm.on:
+    for _ in range(20):
         test.update(window)
+    assert test.alarm.on
     assert test.alarm.channels == (list(channels)[chamber],) and test.alarm.hint == hint
 
 

@@ -6,6 +6,8 @@ import pytest
 
 from rig.chambers import SLIDER
 from rig.cli.shared import copy_experiment, layout_in, load_trials
+from rig.errors import RigError
+from rig.manifold.limits import PressureLimits
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
 from tests.support.experiments import SMALL, write_small_experiment
@@ -34,9 +36,9 @@ def test_the_copy_of_an_experiment_contains_the_profiles(tmp_path):
 THREE = "\n".join(
     f'[[actuators]]\nkind = "pneumatic"\nname = "{name}"\nspan = [{near}, {near + 0.08}]\n{more}'
     for name, near, more in (
-        ("head", 0.02, "limit = 1.2e5"),
+        ("head", 0.02, ""),
         ("middle", 0.1, 'side = "left"'),
-        ("rear", 0.18, 'side = "right"\nlimit = 9e4'),
+        ("rear", 0.18, 'side = "right"'),
     )
 )
 CHAMBERS = "front_chamber = [0.02, 0.145]\nrear_chamber = [0.155, 0.28]\n"
@@ -97,9 +99,30 @@ def test_the_rig_plays_a_recorded_drive_of_three_chambers(tmp_path):
     rows = "\n".join(",".join(f"{x:.6g}" for x in row) for row in zip(t, *waves, strict=True))
     (tmp_path / "drive.csv").write_text(f"t_s,p_head_Pa,p_middle_Pa,p_rear_Pa\n{rows}\n")
     drive = load_trials(path)[1][0].drive
-    cut = np.clip(waves, [[-1.2e5], [0.0], [-9e4]], [[1.2e5], [2e6], [0.0]])
+    cut = np.clip(waves, [[-2e6], [0.0], [-2e6]], [[2e6], [2e6], [0.0]])
     for i in (3, 11, 40):
         assert drive.signed(float(t[i])) == pytest.approx(cut[:, i], abs=2.0)
+
+
+def test_a_drive_above_the_limit_of_an_actuator_is_refused(tmp_path):
+    limited = ('side = "left"', 'side = "left"\nlimit = 1.2e5')
+    path = three_chambers(tmp_path, limited)
+    layout = layout_in(path)
+    limits = PressureLimits.of([250e3], layout)
+    assert limits.pressures == (250e3, 250e3, 1.2e5, 250e3)
+    _, (trial, _) = load_trials(path)
+    with pytest.raises(RigError, match="of middle: given 142500 Pa; allowed 0 to its limit, 1200"):
+        trial.check(limits)
+
+
+def test_more_chambers_than_a_frame_holds_are_refused(tmp_path):
+    many = "\n".join(
+        f'[[actuators]]\nkind = "pneumatic"\nname = "c{i}"\nspan = [{i / 100}, {i / 100 + 0.009}]'
+        for i in range(20)
+    )
+    path = write_small_experiment(tmp_path, (CHAMBERS, ""), ("[sensors]", f"{many}\n[sensors]"))
+    with pytest.raises(InputError, match="the robot's chambers: given 40; allowed at most 38"):
+        load_trials(path)
 
 
 def test_a_robot_without_chambers_is_refused(tmp_path):

@@ -11,6 +11,7 @@ from cobs import cobs
 
 from calibration.pressure_logs.read import read_log
 from rig.protocol.messages import (
+    MOST_CHAMBERS,
     Ack,
     Answer,
     Arm,
@@ -74,10 +75,13 @@ def bodies(sent):
 
 
 def test_frames_are_cobs_and_the_crc_of_zlib(program):
-    reply = ask(program, [(b"E", 0, b"123456789"), (b"E", 0, b"\0\0"), (b"E", 0, bytes(161))])
+    longest = Reading(1, 2, 1, 0, tuple(range(MOST_CHAMBERS + 4)))
+    bodies = b"123456789", b"\0\0", bytes(187), pack_message(longest)
+    reply = ask(program, [(b"E", 0, body) for body in bodies])
     assert reply[0].sent == b"\x0e123456789" + (0xCBF43926).to_bytes(4, "little") + b"\0"
     assert reply[1].sent == b"\1\1\5" + zlib.crc32(b"\0\0").to_bytes(4, "little") + b"\0"
     assert reply[2].sent == b""
+    assert reply[3].sent == encode_frame(longest)
 
 
 def test_every_message_has_the_same_bytes_in_both_languages(program):

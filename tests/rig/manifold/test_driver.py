@@ -26,7 +26,7 @@ from rig.trial.player import command_times, play_drive
 from rig.trial.session import RECORDINGS, Rig, run_trials
 from rig.trial.waveform import ChamberDrive
 
-LIMITS = PressureLimits.of([250e3], SLIDER.names)
+LIMITS = PressureLimits.of([250e3], SLIDER)
 QUICK = TrialTiming(quiet=0.3, after=0.1, fade=0.0)
 TIP = AnalogueSensor("tip_m", 1, TIP_PER_VOLT)
 THREE_PAIRS = ChamberLayout(tuple(PneumaticActuator(x) for x in ("head", "middle", "rear")))
@@ -49,7 +49,7 @@ def rig_on(port, layout=SLIDER, **changes):
     """Returns a `Rig` on `port`; use it within its manifold's context."""
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     manifold = Manifold(open_port(port), *switches)
-    limits = PressureLimits.of([250e3], layout.names)
+    limits = PressureLimits.of([250e3], layout)
     return Rig(
         manifold, switches, limits, {}, {}, analogue=(TIP,), timing=QUICK, pause=0.05, **changes
     )
@@ -312,7 +312,7 @@ def test_a_waveform_is_uploaded_and_played_by_the_manifold(layout):
     rest = (0.0,) * (len(layout.names) - 2)
     samples = [(1000.0 * i, *rest, 500.0 * i) for i in range(21)]
     with serve_in_thread(device) as served, Manifold(open_port(served.path)) as manifold:
-        manifold.configure(PressureLimits.of([250e3], layout.names))
+        manifold.configure(PressureLimits.of([250e3], layout))
         with pytest.raises(RigError, match="samples; allowed 2 to 2000"):
             manifold.upload(samples[:1], 0.01)
         manifold.upload(samples, 0.01)
@@ -369,7 +369,7 @@ def test_a_limit_above_the_hard_limit_is_refused():
     with serve_in_thread(SimulatedRig(BenchTank())) as served:
         with Manifold(open_port(served.path)) as manifold:
             with pytest.raises(RigError, match="front_left: given 600000 Pa; allowed at most"):
-                manifold.configure(PressureLimits.of([600e3], SLIDER.names))
+                manifold.configure(PressureLimits.of([600e3], SLIDER))
 
 
 @pytest.mark.parametrize(
@@ -382,7 +382,7 @@ def test_a_limit_above_the_hard_limit_is_refused():
 )
 def test_impossible_limits_are_refused(given, message):
     with pytest.raises(RigError, match=message):
-        PressureLimits.of(given, SLIDER.names)
+        PressureLimits.of(given, SLIDER)
 
 
 def test_the_error_says_whether_a_port_is_missing_busy_or_not_serial(tmp_path):

@@ -25,7 +25,7 @@ from tests.support.data import ROOT
 from tests.support.rig_experiment import EXPERIMENT, HANDLES_CTRL_C
 
 VENT_WITHIN = 0.15
-LIMITS = PressureLimits.of([250e3], SLIDER.names)
+LIMITS = PressureLimits.of([250e3], SLIDER)
 QUICK = TrialTiming(quiet=0.2, after=0.1, fade=0.0)
 DRIVE = ChamberDrive("square", 5.0, 200e3)
 

@@ -246,6 +246,10 @@ CASES = {
         FRONT + chamber("front", 0.155, 0.28),
         "actuators.1.name: given 'front'; allowed a name that no other actuator has",
     ),
+    "name of a chamber": (
+        FRONT + chamber("front_left", 0.155, 0.28, 'side = "left"'),
+        "actuators.1.name: given 'front_left'; allowed a name that no chamber has: front_left, ",
+    ),
     "overlap": (
         FRONT + chamber("rear", 0.1, 0.28),
         "actuators.1.span: given [0.1, 0.28]; allowed a span outside of [0.02, 0.145] m, the span "

@@ -62,13 +62,13 @@ def strides(yaw=0.0, roll=0.0, slower=0.0):
 
 
 def test_strides_of_a_screw_repeat_unless_the_body_has_a_weight():
-    assert _alike(strides(roll=0.1), upright=False)
-    assert not _alike(strides(roll=0.1), upright=True)
-    assert _alike(strides(yaw=0.1), upright=True)
-    assert not _alike(strides(slower=1e-3), upright=False)
+    assert _alike(strides(roll=0.1), up=None)
+    assert not _alike(strides(roll=0.1), up=np.array([0.0, 0.0, 1.0]))
+    assert _alike(strides(yaw=0.1), up=np.array([0.0, 0.0, 1.0]))
+    assert not _alike(strides(slower=1e-3), up=None)
     begun = strides(yaw=0.1)
     begun[0] = begun[1]
-    assert not _alike(begun, upright=False)
+    assert not _alike(begun, up=None)
 
 
 @pytest.fixture(scope="module")
