@@ -116,6 +116,10 @@ class Effect(eqx.Module):
     replaces_law: ClassVar[str] = ""
     """Part of the model that the effect replaces, or "". Two effects must not replace one part."""
 
+    def vertical(self) -> Float[Array, "3"] | None:
+        """Returns g times the upward unit vector (x, y, z) [m/s^2]; None without weight."""
+        return None
+
     @classmethod
     def name(cls) -> str:
         """Returns the class's name in lower case with underscores, as in files and reports."""

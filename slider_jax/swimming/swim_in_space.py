@@ -14,7 +14,6 @@ from slider_jax import observables as obs
 from slider_jax.beam.parameters import G
 from slider_jax.beam.spatial import Vec
 from slider_jax.dynamics.model import Model
-from slider_jax.effects.body.gravity import Gravity
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
@@ -158,8 +157,7 @@ def simulate_swim_in_space(
         trial = experiment.trials[trial]
     frequency, model = free_swimmer(experiment, trial)
     f, search = jnp.asarray(frequency, float), steady_settings(experiment, frequency)
-    weights = [e for e in model.effects if isinstance(e, Gravity) and float(e.g) != 0.0]
-    up = np.asarray(weights[0].upward()) if weights else None
+    up = _upward(model)
     carry = at_rest_in_space(model, search.numerics)
     means: list[list[np.ndarray]] = []
     heads, repeats = [], False
@@ -182,6 +180,14 @@ def simulate_swim_in_space(
         trial, search, repeats, velocity, attitude,
         np.array(heads), stride, float(model.body.mass), resisting(model),
     )  # fmt: skip
+
+
+def _upward(model: Model) -> np.ndarray | None:
+    """Returns the upward unit vector (x, y, z), or None if no effect depends on the vertical."""
+    found = [effect.vertical() for effect in model.effects]
+    total = sum((np.asarray(x) for x in found if x is not None), start=np.zeros(3))
+    size = float(np.linalg.norm(total))
+    return total / size if size > 0.0 else None
 
 
 def _alike(means: list[list[np.ndarray]], up: np.ndarray | None) -> bool:

@@ -52,15 +52,14 @@ class Gravity(ForceDensity):
         weight = mass * self.g * jnp.cos(self.elevation) / (1.0 + x.strain)
         return to_body((-weight * jnp.cos(self.up), -weight * jnp.sin(self.up)), x.phi)
 
-    def upward(self) -> Float[Array, "3"]:
-        """Returns the unit vector (x, y, z) that points upward."""
+    def vertical(self) -> Float[Array, "3"]:
         level = jnp.cos(self.elevation)
         axes = level * jnp.cos(self.up), level * jnp.sin(self.up), jnp.sin(self.elevation)
-        return jnp.stack([jnp.asarray(a, float) for a in axes])
+        return self.g * jnp.stack([jnp.asarray(a, float) for a in axes])
 
     def load_in_space(self, x):
-        s, up = x.structure, x.frame.to_frame(self.upward())
-        per_length = self.g / (1.0 + x.strain)
+        s, up = x.structure, x.frame.to_frame(self.vertical())
+        per_length = 1.0 / (1.0 + x.strain)
         lift = jnp.zeros_like(per_length) if s.area is None else self.density * s.area * per_length
         arm = Vec(jnp.zeros_like(lift), self.buoyancy_n * lift, self.buoyancy_b * lift)
         return SpatialLoad(up.times(lift - s.linear_density * per_length), arm.cross(up))

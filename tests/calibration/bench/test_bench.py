@@ -379,6 +379,7 @@ def arcs(pressures):
     return y + (0.37 - at) * math.sin(angle)
 
 
+@pytest.mark.slow
 def test_a_bench_of_three_chambers_identifies_K_Q(tmp_path):
     p = np.stack([PRESSURES, 0.5 * PRESSURES, -0.4 * PRESSURES], axis=1)
     rows = "".join(f"{a},{b},{c},{arcs((a, b, c))}\n" for a, b, c in p)

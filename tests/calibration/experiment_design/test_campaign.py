@@ -105,6 +105,7 @@ def test_a_campaign_ends_at_its_budget_without_a_final_verdict(tmp_path, monkeyp
         run_campaign(path, capture, tmp_path / "out", budget=3, close=close)
 
 
+@pytest.mark.slow
 def test_a_campaign_ends_if_no_trial_is_proposed(tmp_path, monkeypatch):
     path, capture, captured = tank(tmp_path, {}, 4)
     none = {"purpose": None, "said": "none", "trial": None, "toml": ""}

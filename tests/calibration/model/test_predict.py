@@ -112,6 +112,7 @@ def test_a_batch_with_few_long_items_is_computed_one_item_at_a_time(lengths, bat
     assert sorted(seen) == batches
 
 
+@pytest.mark.slow
 def test_trials_of_different_lengths_in_one_batch_have_the_readings_of_single_trials():
     given = experiment.load(ROOT / "docs" / "experiment.toml")
     names = ("leakage", "force_crosstalk")

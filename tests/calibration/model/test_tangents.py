@@ -42,6 +42,7 @@ def test_tangents_agree_with_differences_of_readings(trial):
         assert np.all(np.abs(row - change) <= 2e-4 * scale + 1e-9), entries[i].label
 
 
+@pytest.mark.slow
 def test_an_omitted_effect_changes_no_tangent(trial):
     """Without a direction of `valve_deadband`, the programs do not contain the effect."""
     p, theta = trial

@@ -57,6 +57,7 @@ def test_the_arm_bends_as_the_readme_of_the_data_says():
     )
 
 
+@pytest.mark.slow
 def test_a_base_that_is_higher_lifts_all_markers():
     low = arm_under(STATED, jnp.array([1.0, 0.5])).markers
     high = arm_under(STATED._replace(base=0.01), jnp.array([1.0, 0.5])).markers

@@ -30,7 +30,7 @@ LIMITS = PressureLimits.of([250e3], SLIDER)
 QUICK = TrialTiming(quiet=0.3, after=0.1, fade=0.0)
 TIP = AnalogueSensor("tip_m", 1, TIP_PER_VOLT)
 THREE_PAIRS = ChamberLayout(tuple(PneumaticActuator(x) for x in ("head", "middle", "rear")))
-ONE_CHAMBER = ChamberLayout((PneumaticActuator("fin", "right", 90e3, "P_Pa"),))
+ONE_CHAMBER = ChamberLayout((PneumaticActuator("fin", "right", 150e3, "P_Pa"),))
 
 
 @pytest.fixture(autouse=True)

@@ -84,6 +84,7 @@ def test_curvature_does_not_drift():
     assert off.max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_free_body_starts_in_the_shape_and_keeps_its_momentum():
     """In vacuum, the momentum stays at its start to 1e-3 of mass times the speed of the tail."""
     model = with_actuators(uniform(L, support=Free(), damping_time=1e-3), wave(scale=3.0))

@@ -341,6 +341,6 @@ def test_planar_commands_refuse_a_robot_in_three_dimensions_in_one_line(tmp_path
         ('name = "small"', 'name = "small"\ndimension = 3'),
         ("height = 0.03", "height = 0.03\nGJ_body = 0.03\nGJ_tail = 0.003\npolar_inertia = 6e-5"),
     )
-    assert main(["swim", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert main(["calibrate", str(file), "--out", str(tmp_path / "out")]) == 2
     (line,) = (x for x in capsys.readouterr().err.splitlines() if "finding" not in x)
     assert line.startswith(f"slider: error: {file}: dimension: given 3; allowed 2, because")

@@ -87,6 +87,7 @@ def test_the_chambers_between_follow_linearly(tmp_path):
     np.testing.assert_allclose([x.phase for x in waves], [0.0, 0.3, 0.1])
 
 
+@pytest.mark.slow
 def test_each_chamber_has_its_own_moment_per_pressure(tmp_path):
     """Twice the ratio and half the pressure give the same motion."""
     double = chamber("rear", 0.155, 0.28, "K_Q_ratio = 2.0")

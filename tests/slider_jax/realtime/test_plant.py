@@ -151,6 +151,7 @@ def test_a_plant_with_three_pairs_equals_the_simulation(tmp_path):
     np.testing.assert_allclose(held.signed, [0.0, 2e4 - leaking, 0.0], atol=1.0)
 
 
+@pytest.mark.slow
 def test_a_plant_with_single_chambers_equals_the_simulation(tmp_path):
     single = other_chambers(("fin", 'side = "left"'), ("belly", 'side = "right"'))
     experiment = load(write_small_experiment(tmp_path, *single))

@@ -62,6 +62,7 @@ def test_every_definition_gives_the_length_of_a_travelling_wave():
         assert wavelength == pytest.approx(LAMBDA, rel=0.03), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("standing", [0.5, 1.0])
 def test_definitions_by_shape_also_give_the_length_of_a_standing_wave(standing):
     found = wavelengths(made(standing), S, F)

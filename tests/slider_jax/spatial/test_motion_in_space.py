@@ -230,6 +230,7 @@ def powers(x, angles):
     return chambers, chambers - integral(stored + lost + given)
 
 
+@pytest.mark.slow
 def test_the_powers_balance_at_every_step():
     """The work of the chambers is stored, dissipated or given to the water, to 1e-9 of the power.
     The body bends alike in both planes, and twists."""

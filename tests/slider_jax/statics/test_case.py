@@ -131,6 +131,7 @@ def chambers(*angles, begin=0.05, end=0.25, pressure=60e3, turn=0.0):
 class TestActuators:
     """Closed forms, 0.1 %."""
 
+    @pytest.mark.slow
     def test_each_of_four_chambers_bends_in_its_own_plane(self, case):
         """The moment K_Q p acts about the axis that is normal to the chamber's plane."""
         kappa = 4.79e-7 * 60e3 / 0.038
@@ -169,6 +170,7 @@ class TestActuators:
         np.testing.assert_allclose(angle, twist * 0.2, rtol=1e-3)
         np.testing.assert_allclose(tip(found), [0.368, 0.0, 0.0], atol=1e-9)
 
+    @pytest.mark.slow
     def test_a_tendon_bends_towards_itself_and_compresses(self, case):
         place = "start = [0.0, 0.01]\nend = [0.0, 0.01]"
         more = f"[[tendons]]\nspan = [0.0, 0.368]\ntension = 3.0\n{place}"

@@ -117,6 +117,7 @@ def test_a_soft_body_hangs_like_the_heavy_elastica():
     assert phi[0] == pytest.approx(tail, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_pin_changes_sides_with_the_stride():
     """The pin is fixed during a half stride, and each switch moves it by the link's length."""
     _, (anchor, slip, moment, *_) = climb(climber(frequency=FREQUENCY))

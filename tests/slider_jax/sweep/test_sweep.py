@@ -74,6 +74,7 @@ class Killed(Exception):
     pass
 
 
+@pytest.mark.slow
 def test_interrupted_sweep_goes_on_and_ends_as_an_uninterrupted_one(
     experiment, tmp_path, one_core_chunks_of_two, monkeypatch
 ):
