@@ -14,6 +14,7 @@ from rig.cli.shared import (
     install_experiment,
     load_trials,
     open_rig,
+    warn_of_missing_sensors,
     warn_of_moving_clamp,
     with_force_counts,
 )
@@ -68,6 +69,7 @@ def rig_run(
         changes["force"] = {"host": force}
     settings = load_rig(rig, changes)
     PressureLimits.of(settings.manifold.limits, layout, f"{rig}: manifold.limits")
+    warn_of_missing_sensors(table, settings)
     for trial in table.trials:
         warn_of_moving_clamp(trial)
     settings = with_force_counts(settings)

@@ -168,10 +168,28 @@ def planned_trial(trial: TrialTable, layout: ChamberLayout, path: Path) -> Plann
 
 
 def warn_of_moving_clamp(trial: TrialTable) -> None:
-    """Prints a warning if a trial's clamp moves or is towed, because the rig cannot do this."""
+    """Prints a warning if a trial is free, or its clamp moves: the rig plays only the drive."""
+    if trial.support == "free":
+        print(
+            f'{trial.file}: support = "free"; the rig only plays the drive: make sure that no '
+            "clamp holds the robot",
+            file=sys.stderr,
+        )
     if trial.tow_speed or trial.clamp_moves:
         moves = "is towed" if trial.tow_speed else "moves"
         print(f"{trial.file}: the clamp {moves}; the rig does not do this", file=sys.stderr)
+
+
+def warn_of_missing_sensors(experiment: ExperimentTable, settings: RigTable) -> None:
+    """Prints a warning about sensors of the experiment that the rig file does not contain."""
+    known = {"thrust_N", "recoil_N", "tip_m", *(x.column for x in settings.analogue)}
+    declared = [x for x in experiment.sensors.channels if not x.actuator]
+    if missing := [c for x in declared for c in x.columns if c not in known]:
+        print(
+            f"the rig does not record {', '.join(missing)}: the measured files will not contain "
+            "these columns; add them from your own instrument",
+            file=sys.stderr,
+        )
 
 
 def with_force_counts(settings: RigTable) -> RigTable:

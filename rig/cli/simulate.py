@@ -117,7 +117,8 @@ def rig_simulate(
         print(f"port {rig.port}", flush=True)
         print(
             f"the rig file is {rig_file}; in another terminal, run for example:\n"
-            f"  slider rig check --port {rig.port} --rig {rig_file}\n"
+            f"  slider rig check {f'{experiment} ' if experiment else ''}--port {rig.port} "
+            f"--rig {rig_file}\n"
             f"  slider rig run {experiment or 'docs/experiment.toml'} --port {rig.port} "
             f"--rig {rig_file} --out measured\n"
             "press Ctrl-C to stop the simulated rig",

@@ -79,6 +79,7 @@ class PressureLimits:
         for name, pressure, limit in zip(self.chambers, pressures, self.pressures, strict=True):
             if not isfinite(pressure) or not 0.0 <= pressure <= limit:
                 raise RigError.value(
-                    f"set pressure of {name}", f"{pressure:g} Pa", f"0 to its limit, {limit:g} Pa"
-                )
+                    f"set pressure of {name}", f"{pressure:g} Pa", f"0 to its limit, {limit:g} Pa",
+                    "the smallest of the actuator's `limit` and the limits of rig file and command",
+                )  # fmt: skip
         return tuple(int(p) for p in pressures)

@@ -193,7 +193,8 @@ def check_actuators(actuators: Mapping[str, ActuatorTable], body: float, length:
             taken = {name for y in pairs for name in y.chambers}
             if not taken.isdisjoint(x.chambers):
                 name = f"{here.rpartition('.')[0]}.name"
-                fail(name, repr(x.name), f"a name that no chamber has: {', '.join(sorted(taken))}")
+                allowed = f"another name, because the chambers {', '.join(sorted(taken))} exist"
+                fail(name, repr(x.name), allowed)
         other = next((y for y in before if _overlap(x, y)), None)
         if other is not None:
             allowed = f"a span outside of {list(other.span)} m, the span of {other.name}"

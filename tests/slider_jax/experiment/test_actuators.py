@@ -249,7 +249,7 @@ CASES = {
     ),
     "name of a chamber": (
         FRONT + chamber("front_left", 0.155, 0.28, 'side = "left"'),
-        "actuators.1.name: given 'front_left'; allowed a name that no chamber has: front_left, ",
+        "actuators.1.name: given 'front_left'; allowed another name, because the chambers front_",
     ),
     "overlap": (
         FRONT + chamber("rear", 0.1, 0.28),
