@@ -56,10 +56,7 @@ def rig_check(
     settings = load_rig(rig)
     layout = layout_in(experiment)
     limits = PressureLimits.of(settings.manifold.limits, layout, f"{rig}: manifold.limits")
-    for name, limit in zip(limits.chambers, limits.pressures, strict=True):
-        if pressure > limit:
-            allowed = f"at most {limit:g} Pa, the limit of the chamber {name}"
-            raise InputError.value("--pressure", f"{pressure:g}", allowed)
+    limits.checked([pressure] * len(layout.names))
     forces = None
     if settings.force is not None:
         print("force sensor ...", file=sys.stderr)

@@ -148,6 +148,14 @@ class SpatialSnapshot(eqx.Module):
         """Returns the speed [m/s] of the head along tau."""
         return self.y[6, -1]
 
+    def actuator_power(self) -> Array:
+        """Returns the mechanical power [W] of the actuators on the body: int M_act dOmega/dt ds.
+
+        See `chamber_power`, which gives the power of each chamber in the plane.
+        """
+        moment, rate = jnp.stack(self.stage.active_moment), jnp.stack(self.section().curvature_t)
+        return self.mesh.grid.integral(jnp.sum(moment * rate, axis=0))
+
     def force_density(self) -> Float[Array, "3 cells"]:
         """Returns the force per length (x, y, z) [N/m] of the effects in the cells."""
         x = self.section()

@@ -97,23 +97,10 @@ def attitude_of(tau: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Attitud
     )
 
 
-def spatial_chamber_power(x: SpatialSnapshot, angles: Array) -> Float[Array, " chambers"]:
-    """Returns the mechanical power [W] of each chamber on the body; see `chamber_power`.
-
-    `angles` (chambers,) [rad] are those of `SpaceSettings`.
-    """
-    rate = x.section().curvature_t
-    own = jnp.cos(angles)[:, None] * rate.b - jnp.sin(angles)[:, None] * rate.n
-    return x.mesh.grid.integral(x.chambers.acting[:, None] * x.mesh.chambers * own)
-
-
 @eqx.filter_jit
 def _next_stride(
     model: Model, frequency: Array, carry: SpatialCarry, search: SteadySettings
 ) -> tuple[SpatialCarry, SpatialStride]:
-    space = model.space
-    assert space is not None
-
     def saved(x: SpatialSnapshot) -> SpatialStride:
         cell, grid = x.section(), x.mesh.grid
         density, zero = cell.structure.linear_density, jnp.zeros_like(cell.strain)
@@ -129,7 +116,7 @@ def _next_stride(
             tau=mean(Vec(1.0 + zero, zero, zero)),
             b=mean(Vec(zero, zero, 1.0 + zero)),
             tail_twist=-grid.integral(cell.structure.in_tail * cell.curvature.tau),
-            power=jnp.sum(spatial_chamber_power(x, jnp.asarray(space.angles))),
+            power=x.actuator_power(),
         )
 
     times = stride_times(frequency, 1, search)

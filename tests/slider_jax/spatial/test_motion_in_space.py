@@ -26,7 +26,6 @@ from slider_jax.rod.loads import RodLoads
 from slider_jax.rod.rod import Rod
 from slider_jax.spatial.step import at_rest_in_space, spatial_rollout
 from slider_jax.supports import Clamped, Free, PinnedLink
-from slider_jax.swimming.swim_in_space import spatial_chamber_power
 from tests.support.helpers import SMALL, arrays, order, swimmer, uniform
 
 L, EI_N, EI_B, GJ, J, MASS = 0.368, 0.152, 0.038, 0.05, 2e-5, 0.7
@@ -212,8 +211,8 @@ def dot(p, q):
     return sum(x * y for x, y in zip(p, q, strict=True))
 
 
-def powers(x, angles):
-    """Returns the power [W] of the chambers, and what is left of it after all losses."""
+def powers(x):
+    """Returns the power [W] of the chambers, and the part that no other term contains."""
     c, s, integral, old = x.section(), x.mesh.structure, x.mesh.grid.integral, x.stage.reference
     strain_t = (c.strain - old.strain) / old.dt
     bend = [k * w for k, w in zip(s.stiffness, c.curvature, strict=True)]
@@ -226,7 +225,7 @@ def powers(x, angles):
     stored += dot(bend, c.curvature_t) + s.EA * c.strain * strain_t
     lost = s.damping_time * (dot(viscous, c.curvature_t) + s.EA * strain_t**2)
     given = -(1.0 + c.strain) * (dot(load.force, c.V) + dot(load.couple, c.omega))
-    chambers = jnp.sum(spatial_chamber_power(x, angles))
+    chambers = x.actuator_power()
     return chambers, chambers - integral(stored + lost + given)
 
 
@@ -236,7 +235,7 @@ def test_the_powers_balance_at_every_step():
     The body bends alike in both planes, and twists."""
     model = replace(strip_swimmer(EI_n=0.02), space=SpaceSettings(jnp.array([0.7, -0.7])))
     numerics = replace(SMALL, tolerance=1e-11)
-    save = lambda x: (*powers(x, model.space.angles), x.section().curvature.n)  # noqa: E731
+    save = lambda x: (*powers(x), x.section().curvature.n)  # noqa: E731
     run = jax.jit(lambda m: spatial_rollout(m, TimeGrid(5e-3, 60), save, numerics))(model)
     chambers, left, bent = (np.array(x) for x in run.saved)
     assert run.ok and np.abs(bent).max() > 0.5
