@@ -108,11 +108,8 @@ def _mv(a, x):
     return sum(a[:, k] * x[k] for k in range(a.shape[1]))
 
 
-def _inverse_of_half(a):
-    """Returns the inverse of k x k blocks, elementwise along the last axis."""
-    if a.shape[0] != 3:
-        return _inverse(a)
-    # 3 x 3 blocks by cofactors.
+def _inverse_of_3(a):
+    """Returns the inverse of 3 x 3 blocks by cofactors, elementwise along the last axis."""
     (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = a
     r0 = b1 * c2 - b2 * c1
     r1 = b2 * c0 - b0 * c2
@@ -127,22 +124,19 @@ def _inverse_of_half(a):
 
 
 def _inverse(a):
-    """Inverts square blocks by Gauss-Jordan without pivoting, elementwise along the last axis.
+    """Inverts square blocks by Gauss-Jordan with pivots of 3 x 3, elementwise along the last axis.
 
-    A loop eliminates the pivots. The loop's carry prevents the compiler from recomputing the
-    entries of `a` for each entry of the result.
+    Each pass eliminates the first three rows and columns and moves them to the end. After the last
+    pass, rows and columns are in their old order.
     """
-    unit = jnp.eye(a.shape[0], dtype=a.dtype)
-
-    def eliminate(k, m):
-        e = unit[k]
-        others = 1.0 - e
-        pivot_row, column = m[k], m[:, k]
-        row = (pivot_row * others[:, None] + e[:, None]) / pivot_row[k]
-        rest = m * others[None, :, None] * others[:, None, None]
-        return rest - (column * others[:, None])[:, None] * row + e[:, None, None] * row
-
-    return jax.lax.fori_loop(0, a.shape[0], eliminate, a)
+    if a.shape[0] == 3:
+        return _inverse_of_3(a)
+    for _ in range(a.shape[0] // 3):
+        pivot = _keep(_inverse_of_3(a[:3, :3]))
+        row, column = _keep(_mm(pivot, a[:3, 3:])), a[3:, :3]
+        rest = jnp.concatenate([a[3:, 3:] - _mm(column, row), -_mm(column, pivot)], axis=1)
+        a = _keep(jnp.concatenate([rest, jnp.concatenate([row, pivot], axis=1)]))
+    return a
 
 
 def _halving_order(cells: int) -> list[int]:
@@ -189,7 +183,7 @@ def _join(A, B):
     A11, A12, A21, A22 = A[:k, :k], A[:k, k:], A[k:, :k], A[k:, k:]
     B11, B12, B21, B22 = B[:k, :k], B[:k, k:], B[k:, :k], B[k:, k:]
     one = jnp.eye(k, dtype=A.dtype)[:, :, None]
-    E = _keep(_inverse_of_half(_keep(one - _mm(B11, A22))))
+    E = _keep(_inverse(_keep(one - _mm(B11, A22))))
     motion = _keep(_mm(E, _keep(jnp.concatenate([_mm(B11, A21), B12], axis=1))))
     zero = jnp.zeros_like(A11)
     forces = _keep(_mm(A22, motion) + jnp.concatenate([A21, zero], axis=1))
@@ -204,7 +198,7 @@ def _factorise(operator: BeamOperator) -> _Factors:
     # Each cell is solved for the motion of its left node and the forces of its right node. The rows
     # are in the order stretch, turn, moment law, balances, so diagonal entries are of order 1/ds.
     cells = _inverse(jnp.concatenate([left[:, k:], right[:, :k]], axis=1))
-    S = -_mm(cells, jnp.concatenate([left[:, :k], right[:, k:]], axis=1))
+    S = _keep(-_mm(cells, jnp.concatenate([left[:, :k], right[:, k:]], axis=1)))
     S = S[..., np.array(_halving_order(S.shape[-1]))]
     joins = []
     while S.shape[-1] > 1:
@@ -216,13 +210,13 @@ def _factorise(operator: BeamOperator) -> _Factors:
     # The tail's conditions G_f f + G_v v = g give f at the tail. After f is eliminated, the head's
     # conditions H_f f + H_v v = h give v at the head.
     G_f, G_v = operator.tail[:, :k], operator.tail[:, k:]
-    tail_f = _inverse_of_half(G_f[..., None])[..., 0]
+    tail_f = _inverse(G_f[..., None])[..., 0]
     tail_v = -tail_f @ G_v
     one = jnp.eye(k, dtype=S.dtype)
-    tail_solve = _inverse_of_half((one - S[:k, :k] @ tail_v)[..., None])[..., 0]
+    tail_solve = _inverse((one - S[:k, :k] @ tail_v)[..., None])[..., 0]
     H_f, H_v = operator.head[:, :k], operator.head[:, k:]
     through = S[k:, k:] + S[k:, :k] @ tail_v @ tail_solve @ S[:k, k:]
-    head_solve = _inverse_of_half((H_f @ through + H_v)[..., None])[..., 0]
+    head_solve = _inverse((H_f @ through + H_v)[..., None])[..., 0]
     return _Factors(cells, tuple(joins), S, tail_f, tail_v, tail_solve, H_f, head_solve)
 
 
@@ -231,7 +225,7 @@ def _solve(factors: _Factors, rhs):
     r_cells, r_tail, r_head = rhs
     k = r_tail.shape[0]
     order = np.array(_halving_order(r_cells.shape[-1]))
-    s = _keep(_mv(factors.cells, r_cells)[:, order])
+    s = _keep(_keep(_mv(factors.cells, r_cells))[:, order])
     meetings = []
     for join in factors.joins:
         pairs = join.E.shape[-1]

@@ -115,9 +115,11 @@ def sections(y: Float[Array, "12 nodes"], stage: SpatialStage) -> SpatialSection
 def head_conditions(head: Float[Array, "12"], stage: SpatialStage) -> Float[Array, "6"]:
     """Returns the residuals of the support's conditions."""
     T, M, V, theta = vectors(head)
-    frame, omega = frame_and_omega(theta, stage, -1)
-    rows = stage.support.rows_in_space(SpatialFields(T, M, V), frame, omega, stage.t)
-    return jnp.stack(rows)
+    return _head_rows(SpatialFields(T, M, V), *frame_and_omega(theta, stage, -1), stage)
+
+
+def _head_rows(at_head: SpatialFields, frame: Quaternion, omega: Vec, stage: SpatialStage):
+    return jnp.stack(stage.support.rows_in_space(at_head, frame, omega, stage.t))
 
 
 def spatial_residual(y: Float[Array, "12 nodes"], stage: SpatialStage):
@@ -128,45 +130,48 @@ def spatial_residual(y: Float[Array, "12 nodes"], stage: SpatialStage):
     return jnp.stack(cells), y[:6, 0], head_conditions(y[:, -1], stage)
 
 
-def _columns(function, values: Float[Array, "n cells"]) -> Float[Array, "rows n cells"]:
-    """Returns the derivatives of `function(values)`, which treats each cell alike."""
+def _each_component(like: Array) -> Vec:
+    """Returns the three unit vectors at every entry of `like`; the first axis counts them."""
+    unit = jnp.eye(3, dtype=like.dtype)
+    return Vec(*jnp.broadcast_to(unit[..., None], (3, 3, *like.shape)))
 
-    def column(direction):
-        along = jnp.broadcast_to(direction[:, None], values.shape)
-        return jax.jvp(function, (values,), (along,))[1]
 
-    return jax.vmap(column, out_axes=1)(jnp.eye(len(values), dtype=values.dtype))
+def _moved(frame: Quaternion, small: Vec) -> Quaternion:
+    """Returns the frame after a rotation by `small` [rad], to first order."""
+    return frame.after(Quaternion(jnp.ones_like(frame.w), *small.times(0.5)))
 
 
 def _by_theta(
-    theta: Float[Array, "3 nodes"], turning: Turning, stage: SpatialStage
-) -> Float[Array, "12 6 cells"]:
-    """Returns the derivatives by theta: of omega, Omega, dOmega/dt, small rotation of the middle.
+    theta: Vec, turning: Turning, stage: SpatialStage
+) -> tuple[Vec, Vec, tuple[Vec, Vec, Vec, Vec]]:
+    """Returns the derivatives by theta: (3, nodes) at the nodes, and (6, cells) in the cells.
+
+    At the nodes, they are the small rotations psi of the frames and the derivatives of omega. In
+    the cells, they are those of omega, Omega and dOmega/dt, and the small rotation of the middle,
+    by theta at the left node (the first three) and at the right node.
 
     A change of theta turns the frame of its node by psi = `turning_of`(theta, change). The turn v
     between the two nodes of a cell then changes by rate_of(v, psi_right) - rate_of(-v, psi_left).
     """
-    units = jnp.eye(3, dtype=theta.dtype)[:, :, None]
-    psi = turning_of(Vec(*theta), Vec(*units))
-    omega = _columns(lambda x: jnp.stack(frame_and_omega(Vec(*x), stage)[1]), theta)
-    ds = stage.structure.ds
-    turn = turning.curvature.times(ds)
+    units = _each_component(theta.tau)
+    psi = turning_of(theta, units)
+    along = jax.vmap(lambda d: jax.jvp(lambda x: frame_and_omega(x, stage)[1], (theta,), (d,))[1])
+    omega = along(units)
+    per_length = 1.0 / stage.structure.ds
+    turn = turning.curvature.times(stage.structure.ds)
     half = turn.times(0.5)
     before, after = at(psi, LEFT), at(psi, RIGHT)
     left = rate_of(turn.times(-1.0), before).times(-1.0)
     right = rate_of(turn, after)
     in_middle = turned(half).to_frame(jnp.stack(before))
     small = turning_of(half, left.times(0.5)).plus(in_middle), turning_of(half, right.times(0.5))
-    columns = []
-    for side, w, v, m in zip(
-        (-1.0, 1.0), (omega[..., :-1], omega[..., 1:]), (left, right), small, strict=True
-    ):
-        by_mean, by_curvature = Vec(*(0.5 * w)), v.times(1.0 / ds)
+    sides = []
+    for sign, where, v, m in zip((-1.0, 1.0), (LEFT, RIGHT), (left, right), small, strict=True):
+        w = at(omega, where)
+        by_mean, by_curvature = w.times(0.5), v.times(per_length)
         crossed = by_curvature.cross(turning.omega).plus(turning.curvature.cross(by_mean))
-        by_rate = side * w / ds + jnp.stack(crossed)
-        parts = [jnp.stack(by_mean), jnp.stack(by_curvature), by_rate, jnp.stack(m)]
-        columns.append(jnp.concatenate(parts))
-    return jnp.concatenate(columns, axis=1)
+        sides.append((by_mean, by_curvature, w.times(sign * per_length).plus(crossed), m))
+    return psi, omega, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), *sides)
 
 
 def _by_loads(
@@ -197,36 +202,65 @@ def _by_loads(
 def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOperator:
     """Returns the blocks of d(residual)/dy.
 
-    The rows depend on means and slopes of T, M and V, and on omega, Omega, dOmega/dt and a small
-    rotation of the frame. The rotations depend on theta at the two nodes of the cell. `_by_loads`
-    knows the derivatives by T and M, except the one by the tension, which changes the strain.
+    The rows depend on means and slopes of T, M and V, and through omega, Omega, dOmega/dt and the
+    frame on theta at the two nodes of the cell. `_by_loads` knows the derivatives by T and M,
+    except the one by the tension, which changes the strain. The other derivatives are those of
+    `spatial_cell_rows` along each of V, dV/ds and theta alone, so terms without them cost nothing.
     """
     ds = stage.structure.ds
     mid, slope = means_and_slopes(y, ds)
     theta = vectors(y)[3]
     turning = turning_in_cells(theta, stage)
-    middle = turning.frame
+    psi, omega_by_theta, by_theta = _keep(_by_theta(theta, turning, stage))
 
-    def rows(values):
-        V, V_s, omega, curvature, curvature_t, small = vectors(values[1:])
-        moved = middle.after(Quaternion(jnp.ones_like(ds), *small.times(0.5)))
-        here = mid._replace(T=mid.T._replace(tau=values[0]), V=V)
-        there = slope._replace(V=V_s)
-        turning = Turning(omega, curvature, curvature_t, moved)
-        return jnp.stack(spatial_cell_rows(here, there, turning, stage))
+    def derivative(rows, values, directions) -> Float[Array, "12 n cells"]:
+        return jnp.stack(jax.vmap(lambda d: jax.jvp(rows, (values,), (d,))[1])(directions))
 
-    rotations = (*turning.omega, *turning.curvature, *turning.curvature_t)
-    parts = (mid.T.tau, *mid.V, *slope.V, *rotations)
-    values = jnp.stack([*parts, *[jnp.zeros_like(ds)] * 3])
-    by_value, by_theta = _keep((_columns(rows, values), _by_theta(y[9:], turning, stage)))
+    def by_tension(tension):
+        return spatial_cell_rows(mid._replace(T=mid.T._replace(tau=tension)), slope, turning, stage)
+
+    def by_velocity(V):
+        return spatial_cell_rows(mid._replace(V=V), slope, turning, stage)
+
+    def by_slope(V_s):
+        return spatial_cell_rows(mid, slope._replace(V=V_s), turning, stage)
+
+    def by_turning(values):
+        *rates, small = values
+        turned_on = Turning(*rates, _moved(turning.frame, small))
+        return spatial_cell_rows(mid, slope, turned_on, stage)
+
+    one = jnp.ones((1, *ds.shape), ds.dtype)
+    each, zero = _each_component(ds), jnp.zeros_like(ds)
+    rotations = (turning.omega, turning.curvature, turning.curvature_t, Vec(zero, zero, zero))
+    of_tension = derivative(by_tension, mid.T.tau, one)
+    of_velocity = derivative(by_velocity, mid.V, each)
+    of_slope = derivative(by_slope, slope.V, each)
+    of_theta = derivative(by_turning, rotations, by_theta)
     of_loads, of_their_slopes = _by_loads(mid, turning.curvature, stage)
-    to_mid = jnp.concatenate([by_value[:, :1], of_loads, by_value[:, 1:4]], axis=1)
-    to_slope = jnp.concatenate([of_their_slopes, by_value[:, 4:7]], axis=1)
-    to_theta = sum(by_value[:, 7 + k, None] * by_theta[None, k] for k in range(12))
+    to_mid = jnp.concatenate([of_tension, of_loads, of_velocity], axis=1)
+    to_slope = jnp.concatenate([of_their_slopes, of_slope], axis=1)
     from_mid, from_slope = 0.5 * to_mid, to_slope / ds
     return BeamOperator(
-        left=jnp.concatenate([from_mid - from_slope, to_theta[:, :3]], axis=1),
-        right=jnp.concatenate([from_mid + from_slope, to_theta[:, 3:]], axis=1),
+        left=jnp.concatenate([from_mid - from_slope, of_theta[:, :3]], axis=1),
+        right=jnp.concatenate([from_mid + from_slope, of_theta[:, 3:]], axis=1),
         tail=jnp.eye(6, 12, dtype=y.dtype),
-        head=jax.jacfwd(head_conditions)(y[:, -1], stage),
+        head=_head_jacobian(y[:, -1], at((psi, omega_by_theta), -1), stage),
     )
+
+
+def _head_jacobian(
+    head: Float[Array, "12"], by_theta: tuple[Vec, Vec], stage: SpatialStage
+) -> Float[Array, "6 12"]:
+    """Returns the derivatives of `head_conditions`; `by_theta` are psi and those of omega."""
+    T, M, V, theta = vectors(head)
+    frame, omega = frame_and_omega(theta, stage, -1)
+
+    def rows(loads_and_velocity, small, omega):
+        at_head = SpatialFields(*vectors(loads_and_velocity))
+        return _head_rows(at_head, _moved(frame, Vec(*small)), Vec(*omega), stage)
+
+    values = head[:9], jnp.zeros(3, head.dtype), jnp.stack(omega)
+    direct, by_frame, by_omega = jax.jacfwd(rows, argnums=(0, 1, 2))(*values)
+    psi, spin = (jnp.stack(x) for x in by_theta)
+    return jnp.concatenate([direct, by_frame @ psi + by_omega @ spin], axis=1)

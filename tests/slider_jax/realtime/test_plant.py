@@ -181,7 +181,8 @@ def test_effects_of_every_place_act_as_in_the_simulation(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", LIBRARY)
+# The plant refuses `drive_clock`: the valves would be late by more and more.
+@pytest.mark.parametrize("name", [name for name in LIBRARY if name != "drive_clock"])
 def test_each_effect_acts_as_in_the_simulation(name, tmp_path):
     priors = LIBRARY[name].priors()
     given = {key: 0.4 * p.low + 0.6 * p.high for key, p in priors.items()}
