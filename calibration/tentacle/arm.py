@@ -107,7 +107,7 @@ def arm_parts(
     return ArmParts(rod, tendons, jnp.array(MARKER_OFFSETS), jnp.zeros(3), strains)
 
 
-def shape_of(
+def arm_shape(
     parts: ArmParts, increments: int, start: Float[Array, "cells 4"] | None = None
 ) -> ArmShape:
     """Returns the shape under tensions and weight.
@@ -122,7 +122,7 @@ def shape_of(
 
 def arm_under(parameters: ArmParameters, tensions: Float[Array, "2"]) -> ArmShape:
     """Returns the shape of the stated arm under two tensions [N] and its weight."""
-    return shape_of(arm_parts(parameters, tensions, jnp.zeros((CELLS, 4))), INCREMENTS)
+    return arm_shape(arm_parts(parameters, tensions, jnp.zeros((CELLS, 4))), INCREMENTS)
 
 
 def _markers(found: RodEquilibrium, offsets: Float[Array, "4 3"]) -> Float[Array, "4 3"]:

@@ -14,7 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from calibration.tentacle.arm import CELLS, INCREMENTS, ArmParameters, ArmShape, arm_parts, shape_of
+from calibration.tentacle.arm import (
+    CELLS,
+    INCREMENTS,
+    ArmParameters,
+    ArmShape,
+    arm_parts,
+    arm_shape,
+)
 from calibration.tentacle.candidates import Candidate, effect_values, with_effects
 from calibration.tentacle.runs import ArmRuns
 from slider_jax.errors import SolverError
@@ -50,7 +57,7 @@ def shapes_of_arms(
         parts = with_effects(arm_parts(ArmParameters(*base), tensions, strains), values)
         rod = replace(parts.rod, weight=share * parts.rod.weight)
         tendons = tuple(replace(x, tension=share * x.tension) for x in parts.tendons)
-        return shape_of(replace(parts, rod=rod, tendons=tendons), 1, strains)
+        return arm_shape(replace(parts, rod=rod, tendons=tendons), 1, strains)
 
     return jax.vmap(one)(values, tensions, strains)
 

@@ -28,15 +28,6 @@ class ArmRuns(NamedTuple):
     sessions: tuple[str, ...]
     """Name of each run's session; empty if the file has no column `session`."""
 
-    def part(self, chosen: Sequence[int]) -> "ArmRuns":
-        """Returns the runs with the indices `chosen`."""
-        return ArmRuns(
-            tuple(self.names[i] for i in chosen),
-            self.tensions[list(chosen)],
-            self.markers[list(chosen)],
-            tuple(self.sessions[i] for i in chosen),
-        )
-
 
 def read_arm_runs(path: Path) -> ArmRuns:
     """Returns the runs of a file. Raises `InputError` if the file is invalid."""
