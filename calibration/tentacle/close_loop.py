@@ -11,6 +11,7 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import f
 
 from calibration.discrepancy.rounds import agreement
 from calibration.discrepancy.scores import Score, least_squares_step, score, tangent_cosine
@@ -264,9 +265,8 @@ def close_arm_loop(
             break
     floors = noise_floor_of(runs, start.markers), noise_floor_of(runs, fit.markers)
     statuses = {x.chosen: _status(problem, fit, x) for x in rounds if x.chosen}
-    level = np.sqrt(settings.noise_floor) * (floors[1] or 0.0)
-    above = bool(distances(fit.markers, runs).mean() > level)
     pairs = [(runs.names[i], runs.names[j]) for i, j in repeated_runs(runs)]
+    above = _above_floor(runs, fit, floors[1], len(pairs), settings)
     verdict = _verdict(statuses, above)
     return ArmSearch(start, rounds, statuses, verdict, used, left_out, floors, pairs)
 
@@ -306,6 +306,22 @@ def _round(problem: ArmProblem, fit: ArmFit, J, settings, progress) -> ArmRound:
     means = {name: float(distances(x.markers, runs).mean()) for name, x in refits.items()}
     best = fit_arm(problem, refits[chosen].theta, refits[chosen].free)
     return ArmRound(scores, least, means, chosen, equivalent, best)
+
+
+def _above_floor(
+    runs: ArmRuns, fit: ArmFit, floor: float | None, pairs: int, settings: SelectionSettings
+) -> bool:
+    """Returns whether the residual is above the noise floor; True without a floor.
+
+    The mean squares are in the ratio of the squared distances. Few repeated runs determine the
+    floor roughly, so the ratio must also exceed the limit of an F-test of two variances.
+    """
+    if floor is None:
+        return True
+    coordinates = runs.markers[0].size
+    chance = f.isf(CHANCE, coordinates * len(runs.names), coordinates * pairs)
+    ratio = (distances(fit.markers, runs).mean() / floor) ** 2
+    return bool(ratio > max(settings.noise_floor, chance))
 
 
 def _status(problem: ArmProblem, fit: ArmFit, round_: ArmRound) -> str:
