@@ -90,7 +90,7 @@ def main(argv: list[str] | None = None) -> int:
             "with the effects": search.used,
         }
         if not sessions_known(search.used, problem, runs, known):
-            progress("warning: the effect of a session is 0 in runs of another or unnamed session")
+            progress("warning: runs of an unknown session have the mean effect of the sessions")
         target = ArmProblem(runs, problem.candidates)
         with staged(given.out) as stage:
             result = {}

@@ -40,6 +40,8 @@ class Candidate(NamedTuple):
     """Index of the parameter among the parameters of all effects."""
     session: str
     """Name of the session; empty for all runs."""
+    share: float
+    """Part of the known runs in this session; 1 for all runs."""
     prior: Prior
 
 
@@ -63,7 +65,8 @@ def candidates_of(sessions: Sequence[str]) -> list[Candidate]:
         for field in fields(effect):
             for scope in scopes:
                 name = f"{plain}.{field.name}" + (f" in session {scope}" if scope else "")
-                found.append(Candidate(name, column, scope, field.metadata["prior"]))
+                share = list(sessions).count(scope) / len(sessions) if scope else 1.0
+                found.append(Candidate(name, column, scope, share, field.metadata["prior"]))
             column += 1
     return found
 
@@ -73,10 +76,15 @@ def effect_values(
 ) -> Float[Array, "runs parameters"]:
     """Returns the parameters of all effects in each run; `theta` has a value for each candidate.
 
-    A candidate of one session leaves the runs of other and of unnamed sessions as they are.
+    A candidate of one session leaves the runs of other sessions as they are. In a run of an unknown
+    session, it has its mean over the known runs.
     """
     values = np.zeros((len(sessions), sum(len(fields(x)) for x in ARM_EFFECTS)))
+    known = {x.session for x in candidates} - {""}
     for value, candidate in zip(theta, candidates, strict=True):
-        acts = [candidate.session in ("", session) for session in sessions]
-        values[acts, candidate.column] += value
+        for run, session in enumerate(sessions):
+            if candidate.session in ("", session):
+                values[run, candidate.column] += value
+            elif session not in known:
+                values[run, candidate.column] += candidate.share * value
     return jnp.asarray(values)

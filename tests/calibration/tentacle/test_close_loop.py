@@ -172,7 +172,7 @@ def test_effects_of_a_session_act_in_its_runs_only():
     theta[names.index("tension_offset.both")] = 0.1
     column = candidates[names.index("tension_offset.both")].column
     values = effect_values(theta, candidates, ("A", "B", ""))
-    np.testing.assert_allclose(values[:, column], [0.1, 0.4, 0.1])
+    np.testing.assert_allclose(values[:, column], [0.1, 0.4, 0.25])
     assert not any(x.session for x in candidates_of(("A", "A")))
 
 
