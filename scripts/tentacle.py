@@ -3,8 +3,10 @@
     SLIDER_DATA=../shared/data python scripts/tentacle.py MARKERS.csv --out results/tentacle
 
 MARKERS.csv has a row for each static run, with the columns of the file `tentacle/markers.csv` of
-the measured data. Three parameters are fitted to the runs in that file. The script writes
-DIR/predictions.json and DIR/result.json.
+the measured data. The script fits Young's modulus and the density to the runs in that file, and
+then searches for the effects that the model lacks. The model that makes the predictions has at most
+four fitted parameters. The script writes DIR/predictions.json, DIR/result.json and
+DIR/close_loop.json.
 """
 
 import argparse
@@ -12,14 +14,10 @@ import os
 import sys
 from pathlib import Path
 
-from calibration.tentacle.fit import (
-    MODELS,
-    distances,
-    fit_arm,
-    predicted_markers,
-    prediction_record_of_arm,
-)
-from calibration.tentacle.runs import read_arm_runs
+from calibration.tentacle.candidates import candidates_of
+from calibration.tentacle.close_loop import ArmSearch, close_arm_loop, search_record
+from calibration.tentacle.fit import ArmFit, ArmProblem, distances, prediction_record_of_arm
+from calibration.tentacle.runs import ArmRuns, read_arm_runs
 from slider_jax.errors import InputError, SolverError
 from slider_jax.io.files import input_file, provenance, staged, write_json
 from slider_jax.precision import enable_float64
@@ -38,6 +36,43 @@ def progress(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+def table(search: ArmSearch, most: int = 8) -> list[str]:
+    """Returns the lines of the printed tables: candidates, verdict, error and noise floor."""
+    lines = []
+    for number, round_ in enumerate(search.rounds, start=1):
+        lines += [
+            f"round {number}: a candidate needs a gain above {round_.least_gain:.1f}",
+            f"  {'candidate':38s}{'gain':>7s}{'all runs':>12s}{'left out':>12s}  confirmed",
+        ]
+        lines += [
+            f"  {x.score.name:38s}{x.score.gain:7.1f}{x.seen_mm:9.2f} mm{x.left_out_mm:9.2f} mm"
+            f"  {'yes' if x.agreed else 'no'}"
+            for x in round_.scores[:most]
+        ]
+        equal = f"; equivalent: {', '.join(round_.equivalent)}" if round_.equivalent else ""
+        lines.append(f"  added: {round_.chosen or 'none'}{equal}")
+    lines.append(f"verdict: {search.verdict}")
+    lines += [f"  {name}: {status}" for name, status in search.statuses.items()]
+    lines += [
+        f"mean distance in left-out runs: {search.left_out_mm['base']:.2f} mm with the base "
+        f"parameters, {search.left_out_mm['predictions']:.2f} mm with the effects, "
+        f"{search.left_out_mm['selection']:.2f} mm if the other runs also select the effects"
+    ]
+    before, after = search.floors_mm
+    if before is not None and after is not None:
+        lines.append(
+            f"noise floor from {len(search.pairs)} repeated runs: {before:.2f} mm with the base "
+            f"parameters, {after:.2f} mm with all added effects"
+        )
+    return lines
+
+
+def sessions_known(fit: ArmFit, problem: ArmProblem, runs: ArmRuns, known: ArmRuns) -> bool:
+    """Returns whether an effect of a session, if the model has one, applies to all runs."""
+    sessions = {problem.candidates[i - 2].session for i in fit.free if i > 1} - {""}
+    return not sessions or set(runs.sessions) <= set(known.sessions)
+
+
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
@@ -47,26 +82,37 @@ def main(argv: list[str] | None = None) -> int:
     enable_float64()
     try:
         runs, known = read_arm_runs(given.markers), read_arm_runs(known_runs())
+        problem = ArmProblem(known, candidates_of(known.sessions))
+        search = close_arm_loop(problem, progress)
+        models = {
+            "stated values": ArmFit(problem.stated, (), problem.markers(problem.stated)),
+            "E and density fitted": search.start,
+            "with the effects": search.used,
+        }
+        if not sessions_known(search.used, problem, runs, known):
+            progress("warning: runs of an unknown session have the mean effect of the sessions")
+        target = ArmProblem(runs, problem.candidates)
         with staged(given.out) as stage:
             result = {}
-            for title, names in MODELS.items():
-                fit = fit_arm(known, names, progress)
-                markers = predicted_markers(fit, runs)
+            for title, fit in models.items():
+                markers = target.markers(fit.theta)
                 off = distances(markers, runs)
                 result[title] = {
-                    "parameters": fit.parameters._asdict(), "fitted": fit.fitted,
+                    "fitted": {problem.names[i]: float(fit.theta[i]) for i in fit.free},
                     "mean_distance_mm": float(off.mean()),
                     "mean_distance_of_each_marker_mm": off.mean(axis=0).tolist(),
                 }  # fmt: skip
             write_json(stage / "predictions.json", prediction_record_of_arm(markers, runs))
+            write_json(stage / "close_loop.json", search_record(problem, search))
             sources = [input_file(given.markers), input_file(known_runs())]
             write_json(stage / "result.json", {"models": result, "input": sources} | provenance())
     except (InputError, SolverError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    print("\n".join(table(search)))
     for title, found in result.items():
         print(f"{title}: mean distance {found['mean_distance_mm']:.2f} mm")
-    progress(f"predictions.json and result.json are in {given.out}")
+    progress(f"predictions.json, result.json and close_loop.json are in {given.out}")
     return 0
 
 

@@ -7,7 +7,6 @@ paper_results/secVa_system_identification (MIT).
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -47,8 +46,19 @@ class ArmParameters(NamedTuple):
     """Young's modulus [Pa]."""
     density: Array | float = 1500.0
     """Density [kg/m^3]."""
-    base: Array | float = 0.0
-    """Height [m] of the arm's base above its stated place."""
+
+
+class ArmParts(eqx.Module):
+    """Parts of the arm that an effect may change."""
+
+    rod: Rod
+    tendons: tuple[RodTendon, ...]
+    offsets: Float[Array, "4 3"]
+    """Places (t, n, b) [m] of the markers relative to the axis."""
+    base: Float[Array, "3"]
+    """Position (x, y, z) [m] of the base, relative to its stated place."""
+    strains: Float[Array, "cells 4"]
+    """Latest known strains, for effects that depend on the shape."""
 
 
 class ArmShape(NamedTuple):
@@ -89,42 +99,40 @@ def arm_tendons(tensions: Float[Array, "2"]) -> tuple[RodTendon, ...]:
     )
 
 
-def arm_under(
-    parameters: ArmParameters,
-    tensions: Float[Array, "2"],
-    start: Float[Array, "cells 4"] | None = None,
+def arm_parts(
+    parameters: ArmParameters, tensions: Float[Array, "2"], strains: Float[Array, "cells 4"]
+) -> ArmParts:
+    """Returns the parts of the arm as stated, under two tensions [N]."""
+    rod, tendons = rod_of(parameters), arm_tendons(tensions)
+    return ArmParts(rod, tendons, jnp.array(MARKER_OFFSETS), jnp.zeros(3), strains)
+
+
+def arm_shape(
+    parts: ArmParts, increments: int, start: Float[Array, "cells 4"] | None = None
 ) -> ArmShape:
-    """Returns the shape of the arm under two tensions [N] and its weight.
+    """Returns the shape under tensions and weight.
 
     `start` are the strains of a similar arm (default: the unloaded arm).
     """
     none = jnp.zeros(3)
-    loads = RodLoads(none, none, jnp.array([0.0, 0.0, -1.0]), arm_tendons(tensions))
-    found = equilibrium(rod_of(parameters), loads, INCREMENTS if start is None else 1, start)
-    up = jnp.stack([jnp.zeros(()), jnp.zeros(()), jnp.asarray(parameters.base, float)])
-    return ArmShape(_markers(found) + up, found.strains, found.ok)
+    loads = RodLoads(none, none, jnp.array([0.0, 0.0, -1.0]), parts.tendons)
+    found = equilibrium(parts.rod, loads, increments, start)
+    return ArmShape(_markers(found, parts.offsets) + parts.base, found.strains, found.ok)
 
 
-def _markers(found: RodEquilibrium) -> Float[Array, "4 3"]:
+def arm_under(parameters: ArmParameters, tensions: Float[Array, "2"]) -> ArmShape:
+    """Returns the shape of the stated arm under two tensions [N] and its weight."""
+    return arm_shape(arm_parts(parameters, tensions, jnp.zeros((CELLS, 4))), INCREMENTS)
+
+
+def _markers(found: RodEquilibrium, offsets: Float[Array, "4 3"]) -> Float[Array, "4 3"]:
     ds = LENGTH / CELLS
     places = []
-    for s, offset in zip(MARKER_S, MARKER_OFFSETS, strict=True):
+    for s, offset in zip(MARKER_S, offsets, strict=True):
         cell = min(int(s / ds), CELLS - 1)
         ahead = s - cell * ds
         turn = found.strains[cell, :3] * ahead
         chord = mean_rotation(turn)[:, 0] * ahead * (1.0 + found.strains[cell, 3])
-        within = chord + rotation(turn) @ jnp.array(offset)
+        within = chord + rotation(turn) @ offset
         places.append(found.shape.position[cell] + found.shape.frame[cell] @ within)
     return jnp.stack(places)
-
-
-@eqx.filter_jit
-def arms_under(
-    parameters: ArmParameters,
-    tensions: Float[Array, "runs 2"],
-    start: Float[Array, "runs cells 4"] | None = None,
-) -> ArmShape:
-    """Returns the shapes under several pairs of tensions."""
-    if start is None:
-        return jax.vmap(lambda u: arm_under(parameters, u))(tensions)
-    return jax.vmap(lambda u, q: arm_under(parameters, u, q))(tensions, start)

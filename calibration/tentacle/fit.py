@@ -1,106 +1,198 @@
-"""Fits the arm's parameters to measured markers, and predicts the markers of other runs."""
+"""Fits the arm's parameters to measured markers, and predicts the markers of other runs.
+
+A parameter vector theta contains Young's modulus [Pa], the density [kg/m^3], and the values of all
+candidates.
+"""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import least_squares
+from jaxtyping import Array, Float
 
-from calibration.tentacle.arm import ArmParameters, arms_under
+from calibration.tentacle.arm import (
+    CELLS,
+    INCREMENTS,
+    ArmParameters,
+    ArmShape,
+    arm_parts,
+    arm_shape,
+)
+from calibration.tentacle.candidates import Candidate, effect_values, with_effects
 from calibration.tentacle.runs import ArmRuns
 from slider_jax.errors import SolverError
 
-SCALES = {"E": 1e5, "density": 300.0, "base": 0.01}
-"""Size of a change of each parameter, for the least-squares solver."""
-MODELS = {
-    "stated values": (),
-    "E and density fitted": ("E", "density"),
-    "E, density and place of the base fitted": ("E", "density", "base"),
-}
-"""Models from the simplest to the one that makes the predictions, and their fitted parameters."""
+BASE = ("E", "density")
+"""Names of the first two parameters."""
+BASE_UNITS = ("Pa", "kg/m^3")
+BASE_SCALES = (1e5, 300.0)
+"""Size of a change of these parameters; a tenth of the prior range for the others."""
+STEP = 1e-3
+"""Step of the finite differences, as a fraction of the size of a change."""
+MOST_STEPS, MOST_HALVINGS = 12, 5
+"""Most steps of a fit, and most halvings of a step that fails or does not lower the error."""
+LEAST_DECREASE = 1e-4
+"""A fit ends if a step lowers the sum of squares by less than this fraction."""
 
 
-FAR = 1.0
-"""Distance [m] that replaces all distances if a shape is not found; the solver then steps back."""
+@eqx.filter_jit
+def shapes_of_arms(
+    base: Float[Array, "2"],
+    values: Float[Array, "runs parameters"],
+    tensions: Float[Array, "runs 2"],
+    strains: Float[Array, "runs cells 4"],
+    share: Float[Array, ""],
+) -> ArmShape:
+    """Returns the shapes of the runs under a share of tensions and weight.
+
+    `strains` are those of similar shapes. Effects that depend on the strains use these strains, so
+    repeat the call until the shapes do not change.
+    """
+
+    def one(values, tensions, strains):
+        parts = with_effects(arm_parts(ArmParameters(*base), tensions, strains), values)
+        rod = replace(parts.rod, weight=share * parts.rod.weight)
+        tendons = tuple(replace(x, tension=share * x.tension) for x in parts.tendons)
+        return arm_shape(replace(parts, rod=rod, tendons=tendons), 1, strains)
+
+    return jax.vmap(one)(values, tensions, strains)
+
+
+class ArmProblem:
+    """Measured runs, candidates, and a simulation that predicts the markers.
+
+    Each shape is the first guess for the next one. This changes the iterations, not the result.
+    """
+
+    def __init__(
+        self,
+        runs: ArmRuns,
+        candidates: Sequence[Candidate],
+        shapes: Callable[..., ArmShape] = shapes_of_arms,
+    ):
+        self.runs = runs
+        self.candidates = tuple(candidates)
+        self.names = (*BASE, *(x.name for x in candidates))
+        self.stated = np.array([*ArmParameters(), *(x.prior.null for x in candidates)], float)
+        ranges = [x.prior.high - x.prior.low for x in candidates]
+        self.scales = np.array([*BASE_SCALES, *(0.1 * x for x in ranges)])
+        self._shapes = shapes
+        self._tensions = jnp.asarray(runs.tensions)
+        self._strains: Array | None = None
+
+    def _found(self, theta: np.ndarray, strains: Array, share: float = 1.0) -> ArmShape:
+        values = effect_values(theta[2:], self.candidates, self.runs.sessions)
+        base = jnp.asarray(theta[:2])
+        return self._shapes(base, values, self._tensions, strains, jnp.asarray(share))
+
+    def markers(self, theta: np.ndarray, keep: bool = True) -> np.ndarray:
+        """Returns the markers (runs, 4, 3) [m]. `keep`: later shapes start from these shapes.
+
+        Raises `SolverError` if a shape is not found.
+        """
+        strains = self._strains
+        if strains is None:
+            strains = jnp.zeros((len(self.runs.names), CELLS, 4))
+            # The full load is repeated for the effects that depend on the latest strains.
+            for share in (*np.arange(1, INCREMENTS) / INCREMENTS, 1.0, 1.0):
+                strains = self._found(theta, strains, share).strains
+        found = self._found(theta, strains)
+        for name, ok in zip(self.runs.names, np.asarray(found.ok), strict=True):
+            if not ok:
+                raise SolverError(
+                    f"{name}: the shape of the arm was not found; the tensions may be too large"
+                )
+        if keep or self._strains is None:
+            self._strains = found.strains
+        return np.asarray(found.markers)
+
+    def slopes(self, theta: np.ndarray, chosen: Sequence[int] | None = None) -> np.ndarray:
+        """Returns derivatives (parameters, runs, 4, 3) of the markers, from finite differences.
+
+        Only the rows `chosen` are computed (default: all); the other rows are 0.
+        """
+        middle = self.markers(theta)
+        found = np.zeros((len(theta), *middle.shape))
+        known: dict[int, np.ndarray] = {}
+        for i in range(len(theta)) if chosen is None else chosen:
+            candidate = self.candidates[i - 2] if i > 1 else None
+            acts = np.ones(len(self.runs.names), bool)
+            if candidate and candidate.session:
+                acts = np.array([x == candidate.session for x in self.runs.sessions])
+            if candidate is None or candidate.column not in known:
+                # One simulation serves a parameter in all its sessions.
+                step, moved = STEP * self.scales[i], theta.copy()
+                at = i if candidate is None else self._everywhere(candidate)
+                moved[at] += step
+                change = (self.markers(moved, keep=False) - middle) / step
+                if candidate:
+                    known[candidate.column] = change
+            else:
+                change = known[candidate.column]
+            found[i, acts] = change[acts]
+        return found
+
+    def _everywhere(self, candidate: Candidate) -> int:
+        columns = [x.column for x in self.candidates]
+        return 2 + columns.index(candidate.column)
 
 
 class ArmFit(NamedTuple):
     """A fitted model of the arm."""
 
-    parameters: ArmParameters
-    fitted: tuple[str, ...]
-
-
-@eqx.filter_jit
-def _slopes(vector, names: tuple[str, ...], tensions, start):
-    """Returns the derivatives (parameters, runs, 4, 3) of the markers."""
-
-    def markers(x):
-        return arms_under(_with(names, x), tensions, start).markers
-
-    one = jnp.eye(len(names))
-    return jax.vmap(lambda d: jax.jvp(markers, (vector,), (d,))[1])(one)
-
-
-def _with(names: tuple[str, ...], vector) -> ArmParameters:
-    return ArmParameters(**{name: SCALES[name] * x for name, x in zip(names, vector, strict=True)})
+    theta: np.ndarray
+    free: tuple[int, ...]
+    """Indices of the fitted parameters."""
+    markers: np.ndarray
+    """Predicted markers (runs, 4, 3) [m]."""
 
 
 def fit_arm(
-    runs: ArmRuns, names: Sequence[str], progress: Callable[[str], None] = lambda text: None
+    problem: ArmProblem,
+    theta: np.ndarray,
+    free: Sequence[int],
+    slopes: np.ndarray | None = None,
+    left_out: int | None = None,
 ) -> ArmFit:
-    """Returns the parameters `names` with the least mean square distance of the markers.
+    """Returns the parameters `free` with the least mean square distance of the markers.
 
-    Raises `SolverError` if the arm's shape is not found.
+    The steps use the derivatives `slopes` (default: new derivatives for each step), and the run
+    `left_out` has no weight. Raises `SolverError` if no shape is found.
     """
-    names = tuple(names)
-    stated = ArmParameters()
-    if not names:
-        return ArmFit(stated, names)
-    tensions = jnp.asarray(runs.tensions)
-    first = _checked(arms_under(stated, tensions), runs)
-    # Each shape is the first guess for the next; it changes the iterations, not the result.
-    latest = {"strains": first.strains}
+    free = tuple(free)
+    used = np.arange(len(problem.runs.names)) != (-1 if left_out is None else left_out)
 
-    def residual(vector):
-        found = arms_under(_with(names, vector), tensions, latest["strains"])
-        if not bool(found.ok.all()):
-            return np.full(runs.markers.size, FAR)
-        latest["strains"] = found.strains
-        distance = np.asarray(found.markers) - runs.markers
-        progress(f"{', '.join(names)}: rms {1e3 * _rms(distance):.3f} mm")
-        return distance.ravel()
+    def square(markers):
+        return float(np.sum((markers - problem.runs.markers)[used] ** 2))
 
-    def slopes(vector):
-        found = _slopes(jnp.asarray(vector), names, tensions, latest["strains"])
-        return np.asarray(found).reshape(len(names), -1).T
-
-    start = np.array([getattr(stated, name) / SCALES[name] for name in names])
-    solution = least_squares(residual, start, slopes, xtol=1e-6, ftol=1e-8)
-    return ArmFit(ArmParameters(*(float(x) for x in _with(names, solution.x))), names)
-
-
-def predicted_markers(fit: ArmFit, runs: ArmRuns) -> np.ndarray:
-    """Returns the markers (runs, 4, 3) [m]. Raises `SolverError` if a shape is not found."""
-    tensions = jnp.asarray(runs.tensions)
-    return np.asarray(_checked(arms_under(fit.parameters, tensions), runs).markers)
-
-
-def _checked(found, runs: ArmRuns):
-    for name, ok in zip(runs.names, np.asarray(found.ok), strict=True):
-        if not ok:
-            raise SolverError(
-                f"{name}: the shape of the arm was not found; the tensions may be too large"
-            )
-    return found
-
-
-def _rms(distance: np.ndarray) -> float:
-    """Returns the root mean square of the lengths of vectors (..., 3)."""
-    return float(np.sqrt(np.mean(np.sum(distance**2, axis=-1))))
+    markers = problem.markers(theta)
+    best = square(markers)
+    for _ in range(MOST_STEPS if free else 0):
+        J = (problem.slopes(theta, free) if slopes is None else slopes)[list(free)][:, used]
+        scale = problem.scales[list(free)]
+        r = (problem.runs.markers - markers)[used].ravel()
+        step = np.zeros_like(theta)
+        matrix = J.reshape(len(free), -1).T * scale
+        step[list(free)] = scale * np.linalg.lstsq(matrix, r, rcond=None)[0]
+        for halving in range(MOST_HALVINGS + 1):
+            trial = theta + step / 2**halving
+            try:
+                found = problem.markers(trial, keep=False)
+            except SolverError:
+                continue
+            if square(found) < best:
+                break
+        else:
+            return ArmFit(theta, free, markers)
+        done = best - square(found) < LEAST_DECREASE * best
+        theta, markers, best = trial, problem.markers(trial), square(found)
+        if done:
+            break
+    return ArmFit(theta, free, markers)
 
 
 def distances(markers: np.ndarray, runs: ArmRuns) -> np.ndarray:

@@ -25,6 +25,8 @@ class ArmRuns(NamedTuple):
     """Tensions of both tendons (runs, 2) [N]."""
     markers: np.ndarray
     """Mean positions of the markers (runs, 4, 3) [m]."""
+    sessions: tuple[str, ...]
+    """Name of each run's session; empty if the file has no column `session`."""
 
 
 def read_arm_runs(path: Path) -> ArmRuns:
@@ -46,7 +48,8 @@ def read_arm_runs(path: Path) -> ArmRuns:
     repeated = [name for name in names if names.count(name) > 1]
     if repeated:
         raise InputError(f"{path}: the run {repeated[0]} has two rows; remove one")
-    return ArmRuns(tuple(names), values[:, :2], values[:, 2:].reshape(-1, 4, 3))
+    sessions = tuple(row.get("session") or "" for row in rows)
+    return ArmRuns(tuple(names), values[:, :2], values[:, 2:].reshape(-1, 4, 3), sessions)
 
 
 def _numbers(row: dict[str, str | None], where: str) -> Sequence[float]:

@@ -142,14 +142,16 @@ def _lines(result, channels, seconds: float) -> list[str]:
 def export_shape(
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SHAPE.npz")],
     out: Folder,
-    to: Literal["vtk"] = "vtk",
+    to: Literal["vtk", "rerun"] = "vtk",
     every: Whole = 1,
 ) -> None:
-    """Converts a shape of `slider simulate --shape` to files for ParaView.
+    """Converts a shape of `slider simulate --shape` to files for ParaView or for Rerun.
 
-    DIR receives one VTK file (.vtp) for each exported step, and NAME.pvd, which ParaView opens as a
-    film. Each file contains the midline in the tank, the moment and the vectors tau, n and b of the
-    sections at the nodes, and the force per length in the cells between the nodes.
+    With vtk, DIR receives one VTK file (.vtp) for each exported step, and NAME.pvd, which ParaView
+    opens as a film. Each file contains the midline in the tank, the moment and the vectors tau, n
+    and b of the sections at the nodes, and the force per length in the cells between the nodes.
+    With rerun, DIR receives the recording NAME.rrd for the viewer Rerun: the midline in the tank,
+    arrows along tau, n and b, and arrows of the forces. This format needs the package rerun-sdk.
 
     Args:
         input: file NAME_shape.npz of `slider simulate --shape`.
@@ -158,11 +160,16 @@ def export_shape(
         every: export every N-th step.
     """
     from slider_jax.io.files import staged
-    from slider_jax.simulation.shape import read_shape, write_vtk
+    from slider_jax.simulation.shape import read_shape, write_rerun, write_vtk
 
     if every < 1:
         raise InputError.value("--every", every, "1 or more")
     shape, _ = read_shape(input)
     with staged(out) as stage:
-        count = write_vtk(shape, input.stem, stage, every)
-    print(f"wrote {count} VTK files and {input.stem}.pvd to {out}", file=sys.stderr)
+        if to == "vtk":
+            count = write_vtk(shape, input.stem, stage, every)
+            written = f"{count} VTK files and {input.stem}.pvd"
+        else:
+            count = write_rerun(shape, stage / f"{input.stem}.rrd", every)
+            written = f"{input.stem}.rrd with {count} steps"
+    print(f"wrote {written} to {out}", file=sys.stderr)

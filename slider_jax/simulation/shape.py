@@ -1,4 +1,4 @@
-"""The shape of a robot at every step of a trial: NPZ files, and VTK files for ParaView.
+"""The shape of a robot at every step of a trial: NPZ files, VTK files and Rerun recordings.
 
 All vectors have three components. The motion of a planar robot has z = 0.
 """
@@ -28,6 +28,11 @@ DEFINITIONS = {
 }
 INFO = "info"
 """Name of the array with inputs, settings and versions as JSON text."""
+
+FRAMES = 11
+"""Highest number of frames in a Rerun recording, so that the arrows do not hide the robot."""
+FRAME_SIZE, FORCE_SIZE = 0.05, 0.2
+"""Lengths of a frame's arrows, and of the largest force's arrow, divided by the robot's length."""
 
 
 class SavedShape(NamedTuple):
@@ -159,3 +164,52 @@ def _polydata(position: np.ndarray, points: dict, cells: dict) -> str:
         "</CellData>\n</Piece>",
     ]
     return _vtk_file("PolyData", "\n".join(content))
+
+
+def write_rerun(shape: SavedShape, path: Path, every: int = 1) -> int:
+    """Writes every `every`-th step to a Rerun recording (.rrd), and returns the number of steps.
+
+    Entities: `robot/midline` is a line through the nodes in the tank. `robot/frames` has an arrow
+    along tau, n and b at each of at most `FRAMES` nodes. `robot/forces` has an arrow in the middle
+    of each cell, and the scale of the arrows. The timeline `time` is in seconds. Raises
+    `InputError` if the package rerun-sdk is missing. Source: Rerun's columnar interface,
+    https://rerun.io/docs/howto/logging-and-ingestion/send-columns.
+    """
+    try:
+        import rerun as rr
+    except ImportError:
+        raise InputError(
+            "--to rerun: the package rerun-sdk is not installed; install it with "
+            "pip install rerun-sdk"
+        ) from None
+    # Indices: step, node or cell, axis of space
+    position = shape.position_m[::every].transpose(0, 2, 1)
+    force = shape.force_N_per_m[::every].transpose(0, 2, 1)
+    steps, nodes, _ = position.shape
+    length = np.linalg.norm(np.diff(position[0], axis=0), axis=1).sum()
+    largest = np.linalg.norm(force, axis=2).max()
+    scale = FORCE_SIZE * length / largest if largest > 0.0 else 1.0
+    shown = np.unique(np.linspace(0, nodes - 1, FRAMES).round().astype(int))
+    # Indices: step, shown node, axis of the section, axis of space
+    axes = FRAME_SIZE * length * shape.axes()[::every][..., shown].transpose(0, 3, 1, 2)
+    origins = np.broadcast_to(position[:, shown, None], axes.shape)
+    times = [rr.TimeColumn("time", duration=shape.t_s[::every])]
+
+    recording = rr.RecordingStream("slider")
+    recording.save(path)
+    line = rr.LineStrips3D.columns(strips=list(position))
+    recording.send_columns("robot/midline", times, line)
+
+    def send_arrows(entity: str, vectors: np.ndarray, starts: np.ndarray, colors: list) -> None:
+        columns = rr.Arrows3D.columns(vectors=vectors.reshape(-1, 3), origins=starts.reshape(-1, 3))
+        many = [vectors[0].size // 3] * steps
+        recording.log(entity, rr.Arrows3D.from_fields(colors=colors), static=True)
+        recording.send_columns(entity, times, columns.partition(many))
+
+    red, green, blue, orange = [230, 60, 60], [60, 170, 60], [60, 90, 230], [240, 140, 20]
+    send_arrows("robot/frames", axes, origins, [red, green, blue] * len(shown))
+    send_arrows("robot/forces", scale * force, (position[:, 1:] + position[:, :-1]) / 2, [orange])
+    recording.log("robot/forces", rr.AnyValues(metres_per_N_per_m=scale), static=True)
+    recording.flush()
+    recording.disconnect()
+    return steps

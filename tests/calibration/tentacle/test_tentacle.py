@@ -57,15 +57,8 @@ def test_the_arm_bends_as_the_readme_of_the_data_says():
     )
 
 
-@pytest.mark.slow
-def test_a_base_that_is_higher_lifts_all_markers():
-    low = arm_under(STATED, jnp.array([1.0, 0.5])).markers
-    high = arm_under(STATED._replace(base=0.01), jnp.array([1.0, 0.5])).markers
-    np.testing.assert_allclose(high - low, np.tile([0.0, 0.0, 0.01], (4, 1)), atol=1e-12)
-
-
 def test_distances_and_record():
-    runs = ArmRuns(("a",), np.zeros((1, 2)), np.zeros((1, 4, 3)))
+    runs = ArmRuns(("a",), np.zeros((1, 2)), np.zeros((1, 4, 3)), ("",))
     markers = np.array([[[3e-3, 4e-3, 0.0], [0.0, 0.0, 5e-3], [0.0, 0.0, 0.0], [1e-2, 0.0, 0.0]]])
     np.testing.assert_allclose(distances(markers, runs), [[5.0, 5.0, 0.0, 10.0]])
     record = prediction_record_of_arm(markers, runs)["a"]
@@ -105,11 +98,15 @@ def test_the_measured_runs_are_read(arm):
     runs = read_arm_runs(arm)
     assert len(runs.names) == 14
     assert runs.markers[:, 0, 2].max() < -0.1
+    assert set(runs.sessions) == {"A", "B"}
 
 
 @pytest.mark.slow
 def test_the_script_predicts_the_known_runs(arm, tmp_path):
-    """The mean distance of the fitted runs is at most 11 mm; the best published one is 15.5 mm."""
+    """The mean distance of the fitted runs is at most 9 mm; the best published one is 15.5 mm.
+
+    The search names the tension of tendon 1 in session A first, and improves left-out runs.
+    """
     done = subprocess.run(
         [sys.executable, "scripts/tentacle.py", str(arm), "--out", str(tmp_path / "out")],
         cwd=ROOT, env=os.environ | {"SLIDER_DATA": str(arm.parents[1])}, capture_output=True,
@@ -117,7 +114,13 @@ def test_the_script_predicts_the_known_runs(arm, tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "out" / "predictions.json").read_text())
-    assert np.mean([x["mean_distance_mm"] for x in record.values()]) < 11.0
+    assert np.mean([x["mean_distance_mm"] for x in record.values()]) < 9.0
     models = json.loads((tmp_path / "out" / "result.json").read_text())["models"]
     means = [x["mean_distance_mm"] for x in models.values()]
     assert means == sorted(means, reverse=True)
+    search = json.loads((tmp_path / "out" / "close_loop.json").read_text())
+    assert search["rounds"][0]["chosen"] == "tension_gain.tendon_1 in session A"
+    assert len(search["predictions"]) == 4
+    left_out = search["mean_distance_of_left_out_runs_mm"]
+    assert left_out["predictions"] < left_out["base"] - 2.0
+    assert search["verdict"] == "partly_explained"

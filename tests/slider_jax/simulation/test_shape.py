@@ -1,8 +1,9 @@
-"""Shapes of a trial: their files, VTK files, the interactive view and the picture of midlines."""
+"""Shapes of a trial: their files, exports, the interactive view and the picture of midlines."""
 
 import base64
 import json
 import re
+import sys
 from xml.etree import ElementTree
 
 import numpy as np
@@ -112,7 +113,7 @@ def test_a_file_that_is_no_shape_is_refused(arc, tmp_path, capsys):
     assert main(["export", str(cut), "--every", "0", "--out", str(tmp_path / "out")]) == 2
     assert "--every: given 0; allowed 1 or more" in capsys.readouterr().err
     assert main(["export", str(cut), "--to", "stl", "--out", str(tmp_path / "out")]) == 2
-    assert "--to: given 'stl'; allowed vtk" in capsys.readouterr().err
+    assert "--to: given 'stl'; allowed vtk, rerun" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -139,6 +140,55 @@ def test_vtk_files_contain_the_shape(arc, tmp_path):
         arrays["connectivity"].reshape(-1, 2), [[i, i + 1] for i in range(10)]
     )
     np.testing.assert_array_equal(arrays["offsets"], np.arange(2, 22, 2))
+
+
+def test_an_export_for_rerun_without_the_package_says_how_to_install_it(
+    arc, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setitem(sys.modules, "rerun", None)  # An import then raises ImportError.
+    source, out = tmp_path / "arc_shape.npz", tmp_path / "out"
+    write_shape(saved_shape(arc[0]), {}, source)
+    assert main(["export", str(source), "--to", "rerun", "--out", str(out)]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and "pip install rerun-sdk" in printed
+    assert not out.exists()
+
+
+def test_a_recording_for_rerun_contains_the_shape(arc, tmp_path):
+    """To the seven digits of single precision."""
+    reason = "rerun-sdk (a wheel of 170 MB) is not installed"
+    pytest.importorskip("rerun", reason=reason, exc_type=ImportError)
+    from rerun.chunk import RrdReader
+
+    shape, source, out = saved_shape(arc[0]), tmp_path / "arc_shape.npz", tmp_path / "out"
+    write_shape(shape, {}, source)
+    assert main(["export", str(source), "--to", "rerun", "--every", "50", "--out", str(out)]) == 0
+    assert [x.name for x in out.iterdir()] == ["arc_shape.rrd"]
+    found = {}
+    for chunk in RrdReader(out / "arc_shape.rrd").stream():
+        rows = chunk.to_record_batch().to_pydict()
+        for name, values in rows.items():
+            found[chunk.entity_path, name.split(":")[-1]] = values
+    steps, nodes = slice(None, None, 50), np.arange(11)
+    position = np.swapaxes(shape.position_m[steps], 1, 2)  # (steps, nodes, 3)
+    axes = shape.axes()[steps].transpose(0, 3, 1, 2)  # (steps, nodes, axis, 3)
+    force = np.swapaxes(shape.force_N_per_m[steps], 1, 2)
+
+    def check(entity, name, expected):
+        values = np.array(found[f"/robot/{entity}", name])
+        np.testing.assert_allclose(values.reshape(expected.shape), expected, atol=1e-7)
+
+    for entity in ("midline", "frames", "forces"):
+        seconds = [x.total_seconds() for x in found[f"/robot/{entity}", "time"]]
+        np.testing.assert_allclose(seconds, shape.t_s[steps], atol=1e-9)
+    check("midline", "strips", position)
+    check("frames", "origins", np.repeat(position[:, nodes, None], 3, axis=2))
+    check("frames", "vectors", 0.05 * LENGTH * axes)
+    check("forces", "origins", (position[:, 1:] + position[:, :-1]) / 2)
+    scale = found["/robot/forces", "metres_per_N_per_m"][0][0]
+    check("forces", "vectors", scale * force)
+    longest = np.linalg.norm(scale * force, axis=2).max()
+    np.testing.assert_allclose(longest, 0.2 * LENGTH, rtol=1e-9)
 
 
 def test_a_view_contains_positions_frames_forces_and_heights(arc):
