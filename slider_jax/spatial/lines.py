@@ -31,7 +31,7 @@ from slider_jax.beam.spatial import SpatialReference, SpatialStructure, Vec, str
 from slider_jax.dynamics.model import SpaceSettings
 
 
-class Course(NamedTuple):
+class LineCourse(NamedTuple):
     """Unit tangent of lines in the cells, and their lengths per length of the axis."""
 
     along: Float[Array, "lines cells"]
@@ -52,15 +52,15 @@ class Lines(eqx.Module):
     rate: Float[Array, "lines cells"]
     """da/ds [rad/m]."""
 
-    def course(self, strain: Array, curvature: Vec) -> Course:
+    def course(self, strain: Array, curvature: Vec) -> LineCourse:
         """Returns the course at a `strain` [-] and a `curvature` [1/m] (cells,) of the body."""
         n, b = self.offset * jnp.cos(self.angle), self.offset * jnp.sin(self.angle)
         along = 1.0 + strain + curvature.n * b - curvature.b * n
         around = self.offset * (self.rate + curvature.tau)
         length = jnp.sqrt(along**2 + around**2)
-        return Course(along / length, around / length, length)
+        return LineCourse(along / length, around / length, length)
 
-    def moment(self, size: Float[Array, "lines cells"], course: Course) -> Vec:
+    def moment(self, size: Float[Array, "lines cells"], course: LineCourse) -> Vec:
         """Returns the active moment [N m] (cells,) of lines with the products `size` = P r."""
         bending = size * course.along
         return Vec(
@@ -156,7 +156,7 @@ class TendonLines(eqx.Module):
         unloaded = self.places.course(none, Vec(none, none, none)).length
         spans, soft = self.share * body.ds, self._softness(body, reference)
 
-        def newton(P):
+        def newton(P, T, curvature):
             strain = self.strain(P, T, curvature, body, reference)
             along, around, length = self.places.course(strain, curvature)
             lengths = jnp.sum(spans * (length - unloaded), axis=1)
@@ -166,11 +166,11 @@ class TendonLines(eqx.Module):
             matrix = jnp.eye(len(P), dtype=P.dtype) + slope[:, None] * compliance
             return P - jnp.linalg.solve(matrix, P - value)
 
-        P = zero
-        for _ in range(len(self.tendons) + 2):
-            P = jax.lax.stop_gradient(newton(P))
+        fixed = jax.lax.stop_gradient((T, curvature))
+        steps = len(self.tendons) + 2
+        found = jax.lax.fori_loop(0, steps, lambda _, P: newton(P, *fixed), zero)
         # The last step has the derivative of the solution.
-        return newton(P)
+        return newton(jax.lax.stop_gradient(found), T, curvature)
 
 
 def tendon_lines(actuators: tuple[Actuator, ...], body: SpatialStructure) -> TendonLines | None:
@@ -189,7 +189,7 @@ def tendon_lines(actuators: tuple[Actuator, ...], body: SpatialStructure) -> Ten
     return TendonLines(tendons, Lines(offset, angle, rate), share)
 
 
-def chamber_places(
+def lines_of_chambers(
     space: SpaceSettings, spans: tuple[tuple[Scalar, Scalar], ...], body: SpatialStructure
 ) -> Lines | None:
     """Returns the lines of chambers with the `spans` [m] from the head; None without distances.

@@ -29,7 +29,7 @@ from slider_jax.dynamics.pressures import Chambers, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, run_steps
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme, extrapolation
 from slider_jax.effects import in_space, total_load
-from slider_jax.spatial.lines import chamber_lines, chamber_places, tendon_lines
+from slider_jax.spatial.lines import chamber_lines, lines_of_chambers, tendon_lines
 from slider_jax.spatial.mesh import SpatialMesh, spatial_mesh
 from slider_jax.spatial.residual import (
     LEFT,
@@ -219,7 +219,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
     grid, space = mesh.grid, settings_in_space(model)
     angles, zero = jnp.asarray(space.angles, float), jnp.zeros_like(grid.ds)
     tendons = tendon_lines(model.actuators, mesh.structure)
-    places = chamber_places(space, model.body.chambers, mesh.structure)
+    places = lines_of_chambers(space, model.body.chambers, mesh.structure)
     bending_n = -mesh.chambers * jnp.sin(angles)[:, None]
     bending_b = mesh.chambers * jnp.cos(angles)[:, None]
 
