@@ -146,13 +146,13 @@ OFF = SineWave(2.0, 0.0), SineWave(2.0, 0.0)
 SPANS, ANGLES = ((0.02, 0.3), (0.0, L), (0.1, 0.2613)), ((0.4, 2.5), (-1.0, -3.0), (0.7, 0.7))
 
 
-def twisting(pulls=(8e-3, 6e-3, 3.0), angles=ANGLES, offsets=(0.012, -0.01, 0.015)):
+def twisting(pulls=(15e-3, 12e-3, 3.0), angles=ANGLES, offsets=(0.012, -0.01, 0.015), k=300.0):
     """Two helical tendons that are driven by length, and one along the axis with a tension."""
-    stiffness = (3e4,), (3e4,), ()
+    stiffness = (k,), (k,), ()
     kinds = LengthTendon, LengthTendon, TensionTendon
     return [
-        kind(*span, (r, r), ramp(pull), *k, angle=angle)
-        for kind, span, r, pull, k, angle in zip(
+        kind(*span, (r, r), ramp(pull), *stiff, angle=angle)
+        for kind, span, r, pull, stiff, angle in zip(
             kinds, SPANS, offsets, pulls, stiffness, angles, strict=True
         )
     ]
@@ -189,7 +189,7 @@ def test_helical_chambers_at_rest_give_the_strains_of_the_static_rod():
 
 def bent_stage():
     """An arbitrary bent, twisted and moving state, in which one tendon is slack."""
-    model = robot(twisting((0.05, -0.05, 3.0)), OFF, ((0.4, 2.0), (-0.5, 1.5)), (0.02, 0.03))
+    model = robot(twisting((0.05, -0.05, 3.0), k=3e4), OFF, ((0.4, 2.0), (-0.5, 1.5)), (0.02, 0.03))
     mesh = spatial_mesh(model.body, NUM)
     s, zero = mesh.grid.s, jnp.zeros(CELLS)
     none, still = Vec(zero, zero, zero), Vec(*jnp.zeros((3, CELLS + 1)))
