@@ -169,6 +169,7 @@ def test_helical_tendons_at_rest_give_the_strains_of_the_static_rod():
     strains_agree(strains, rod_at_rest([rod_line(*x) for x in lines], EA))
 
 
+@pytest.mark.slow
 def test_helical_chambers_at_rest_give_the_strains_of_the_static_rod():
     """A left and a right chamber twist and bend the body, to 1e-7 of the largest bending."""
     p, d = (250e3, -150e3), (0.02, 0.03)
@@ -206,6 +207,7 @@ def bent_stage():
     return y, stage
 
 
+@pytest.mark.slow
 def test_the_jacobian_with_tendons_and_chambers_is_that_of_the_residual():
     """1e-9 of the largest value of each row, in four directions."""
     y, stage = bent_stage()
@@ -226,7 +228,7 @@ def test_the_jacobian_with_tendons_and_chambers_is_that_of_the_residual():
     assert float(tension[1]) == 0.0 < float(tension[0])
     for a, b in zip(exact, found, strict=True):
         size = jnp.abs(a).max(axis=(0, -1) if a.ndim == 3 else 0, keepdims=True)
-        np.testing.assert_array_less(jnp.abs(a - b), 1e-9 * size + 1e-30)
+        assert bool(jnp.all(jnp.abs(a - b) <= 1e-9 * size))
     assert float(jnp.abs(exact[0] - local[0]).max() / jnp.abs(exact[0]).max()) > 1e-4
 
 
