@@ -52,7 +52,7 @@ class Tendon(Actuator):
         return self._linear(self.angle, distance)
 
     @property
-    def angle_rate(self) -> Array:
+    def angle_rate(self) -> Scalar:
         """Change [rad/m] of the angle along s, which points towards the head."""
         near, far = _ends(self.angle)
         return -(far - near) / (self.far - self.near)

@@ -107,7 +107,7 @@ def spatial_cell_rows(
     """
     x = _section(mid, slope, turning, stage, tension)
     load, active = total_load(stage.effects, x), moment_of_chambers(x, stage)
-    if tension is not None:
+    if tension is not None and stage.tendons is not None:
         active = active.plus(stage.tendons.loads(tension, x.strain, x.curvature)[1])
     return equations_in_space(mid, slope, x, stage.reference, active, load)
 
@@ -121,7 +121,7 @@ def moment_of_chambers(x: SpatialSection, stage: SpatialStage) -> Vec:
 
 def _section(mid, slope, turning, stage: SpatialStage, tension: Array | None) -> SpatialSection:
     """Returns the local state of the body; tendons compress the body."""
-    if tension is not None:
+    if tension is not None and stage.tendons is not None:
         strain = _strain(mid.T.tau, turning.curvature, stage, tension)
         compression, _ = stage.tendons.loads(tension, strain, turning.curvature)
         mid = mid._replace(T=mid.T._replace(tau=mid.T.tau - compression))
@@ -132,7 +132,7 @@ def _section(mid, slope, turning, stage: SpatialStage, tension: Array | None) ->
 
 def _strain(T: Array, curvature: Vec, stage: SpatialStage, tension: Array | None) -> Array:
     """Returns the strain [-] in the cells at the net axial force `T` [N]."""
-    if tension is None:
+    if tension is None or stage.tendons is None:
         return strain_in_space(T, stage.structure, stage.reference)
     return stage.tendons.strain(tension, T, curvature, stage.structure, stage.reference)
 
