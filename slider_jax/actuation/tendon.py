@@ -10,6 +10,9 @@ integral of eps - e kappa over the span. Friction, the mass of the tendon and sq
 neglected. Source: Rucker, D. C., Webster, R. J. (2011), Statics and dynamics of continuum robots
 with general tendon routing and external loading, IEEE Trans. Robot. 27, 1033-1044; here in a plane,
 for small slopes of the tendon relative to the axis.
+
+In three dimensions, the tendon runs at the offset e in the direction of its `angle` about the axis.
+`spatial.lines` contains its loads.
 """
 
 from abc import abstractmethod
@@ -24,18 +27,38 @@ from slider_jax.actuation.waveform import Waveform
 from slider_jax.beam.parameters import Scalar
 
 
+def _ends(values: Scalar | tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+    return values if isinstance(values, tuple) else (values, values)
+
+
 class Tendon(Actuator):
     """A tendon that is attached to the body at both ends of its span."""
 
     offset: Scalar | tuple[Scalar, Scalar]
     """Offset e [m], or its values at the near and far end; between the ends, e is linear."""
+    angle: Scalar | tuple[Scalar, Scalar] = eqx.field(default=0.0, kw_only=True)
+    """Angle [rad] about the axis, from n towards b, or its values at the near and far end. Between
+    the ends, it is linear, so two different values give a helix. It is 0 in the plane."""
 
     elastic: ClassVar[bool] = False
     """Whether the tension depends on the elongation."""
 
     def offset_at(self, distance: Float[Array, " cells"]) -> Float[Array, " cells"]:
         """Returns the offset e [m] at `distance` [m] from the head."""
-        near, far = self.offset if isinstance(self.offset, tuple) else (self.offset, self.offset)
+        return self._linear(self.offset, distance)
+
+    def angle_at(self, distance: Float[Array, " cells"]) -> Float[Array, " cells"]:
+        """Returns the angle [rad] at `distance` [m] from the head."""
+        return self._linear(self.angle, distance)
+
+    @property
+    def angle_rate(self) -> Scalar:
+        """Change [rad/m] of the angle along s, which points towards the head."""
+        near, far = _ends(self.angle)
+        return -(far - near) / (self.far - self.near)
+
+    def _linear(self, values: Scalar | tuple[Scalar, Scalar], distance: Array) -> Array:
+        near, far = _ends(values)
         return near + (far - near) * (distance - self.near) / (self.far - self.near)
 
     @abstractmethod

@@ -247,6 +247,7 @@ class SpatialSection(eqx.Module):
     curvature_t: Vec
     strain: Array
     V: Vec
+    V_t: Vec
     u: Vec
     u_s: Vec
     u_t: Vec
@@ -322,6 +323,7 @@ def section_in_space(
         curvature_t=turning.curvature_t,
         strain=strain_in_space(mid.T.tau, structure, reference),
         V=mid.V,
+        V_t=V_t,
         u=mid.V.minus(U),
         u_s=slope.V.plus(curvature.cross(U)),
         u_t=V_t.plus(omega.cross(U)).minus(A),
@@ -348,9 +350,8 @@ def equations_in_space(
     strain_t = (x.strain - reference.strain) / reference.dt
     moved = slope.V.plus(curvature.cross(mid.V))
     bent = curvature.plus(x.curvature_t.times(s.damping_time))
-    V_t = mid.V.minus(reference.V).times(1.0 / reference.dt)
     pull = slope.T.plus(curvature.cross(mid.T)).plus(load.force.times(stretch))
-    push = V_t.plus(omega.cross(mid.V)).times(s.linear_density)
+    push = x.V_t.plus(omega.cross(mid.V)).times(s.linear_density)
     J = s.inertia
     spin = Vec(J.tau * omega.tau, J.n * omega.n, J.b * omega.b)
     J_t = Vec(J.tau * x.omega_t.tau, J.n * x.omega_t.n, J.b * x.omega_t.b)

@@ -34,6 +34,12 @@ class SpaceSettings(eqx.Module):
     body in its plane (tau, n)."""
     roll: Scalar = 0.0
     """Initial roll [rad] of the body about its axis. At 0, b is along z."""
+    far_angles: Float[Array, " chambers"] | None = None
+    """Directions [rad] at the far ends of helical chambers; `angles` are then those at the near
+    ends. None if no chamber is helical."""
+    distances: Float[Array, " chambers"] | None = None
+    """Distances [m] of the chambers from the axis, which set the twist by their pressures. None if
+    all chambers only bend the body."""
 
 
 class Model(eqx.Module):

@@ -203,6 +203,10 @@ class Mounting(Effect):
 class BodyChange(Effect):
     """A difference between actual and measured parameters of the body."""
 
+    serves_space: ClassVar[bool] = False
+    """Whether the change has the same meaning for a body in space, and not only for bending about
+    b."""
+
     @abstractmethod
     def change(self, robot: Robot) -> Robot:
         """Returns the robot with actual properties; `robot` has the measured properties."""
@@ -353,6 +357,8 @@ def in_space(effect: Effect | type[Effect]) -> bool:
     kind = effect if isinstance(effect, type) else type(effect)
     if issubclass(kind, ForceDensity):
         return kind.load_in_space is not ForceDensity.load_in_space
+    if issubclass(kind, BodyChange):
+        return kind.serves_space
     return issubclass(kind, (Command, Flow, ActingPressure, Instrument))
 
 

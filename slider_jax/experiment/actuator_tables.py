@@ -11,6 +11,9 @@ from slider_jax.io.units import Quantity
 Ratio = Annotated[float, Quantity(0.01, 100.0)]
 Limit = Annotated[float, Quantity(1e3, 2e6, "Pa")]
 Stiffening = Annotated[float, Quantity(0.0, 1e-4, "N m^2/Pa")]
+ENDS = BeforeValidator(lambda x: (x, x) if isinstance(x, (int, float)) else x)
+Angle = Annotated[float, Quantity(-6.2832, 6.2832, "rad")]
+Angles = Annotated[tuple[Angle, Angle], FROM_LIST, ENDS]
 
 
 class ChamberTable(Table):
@@ -18,7 +21,9 @@ class ChamberTable(Table):
 
     With `side` "both", the actuator is a pair: a left and a right chamber, whose signed pressure is
     left minus right. A single chamber takes only the set pressures of its side. In three
-    dimensions, `angle` turns the plane in which the chamber bends the body.
+    dimensions, `angle` turns the plane in which the chamber bends the body. A chamber with a
+    `distance` from the axis also twists the body if its two angles differ (a helix), or if the body
+    is twisted.
     """
 
     kind: Literal["pneumatic"]
@@ -29,7 +34,14 @@ class ChamberTable(Table):
     limit: Limit | None = None
     stiffening: Stiffening = 0.0
     k_ratio: Ratio = 1.0
-    angle: Annotated[float, Quantity(-6.2832, 6.2832, "rad")] = 0.0
+    angle: Angles = (0.0, 0.0)
+    distance: Annotated[float, Quantity(1e-4, 0.5, "m")] | None = None
+
+    @model_validator(mode="after")
+    def _helix_has_a_distance(self) -> Self:
+        if self.angle[0] != self.angle[1] and self.distance is None:
+            fail("distance", "nothing", "a length in m, because the angle changes along the span")
+        return self
 
     @property
     def chambers(self) -> tuple[str, ...]:
@@ -43,7 +55,6 @@ class ChamberTable(Table):
 
 Phase = Annotated[float, Quantity(-1.0, 1.0, "fraction of a period")]
 Offset = Annotated[float, Quantity(-0.5, 0.5, "m")]
-ENDS = BeforeValidator(lambda x: (x, x) if isinstance(x, (int, float)) else x)
 
 
 class TendonTable(Table):
@@ -51,7 +62,8 @@ class TendonTable(Table):
 
     The motor pulls with a `tension`, or it pulls in a length (`pull`) of a tendon with a
     `stiffness`. The command is bias + effort amplitude wave(t), with the trial's waveform and
-    `effort`. A recorded drive has the column NAME_N or NAME_m.
+    `effort`. A recorded drive has the column NAME_N or NAME_m. In three dimensions, `angle` is the
+    direction of the offset about the axis; two angles give a helix.
     """
 
     kind: Literal["tendon"]
@@ -64,6 +76,7 @@ class TendonTable(Table):
     pushes: Annotated[bool, Field(strict=True)] = False
     phase: Phase = 0.0
     bias: Annotated[float, Quantity(-1e4, 1e4, "N or m")] = 0.0
+    angle: Angles = (0.0, 0.0)
 
     @property
     def amplitude(self) -> float:

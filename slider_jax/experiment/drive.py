@@ -207,8 +207,8 @@ def _command(x: TendonTable | MomentTable, trial: Trial, recording: Recording | 
 def _tendon(x: TendonTable, command: Waveform) -> Actuator:
     span = *x.span, x.offset
     if x.stiffness is None:
-        return TensionTendon(*span, command)
-    return LengthTendon(*span, command, x.stiffness, x.pushes)
+        return TensionTendon(*span, command, angle=x.angle)
+    return LengthTendon(*span, command, x.stiffness, x.pushes, angle=x.angle)
 
 
 def _moment(x: MomentTable, command: Waveform, folder: Path) -> Actuator:

@@ -233,8 +233,11 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
 def _space_of(experiment: Experiment, trial: Trial) -> SpaceSettings | None:
     if experiment.dimension == 2:
         return None
-    angles = jnp.array([x.angle for x in experiment.chambers])
-    return SpaceSettings(angles=angles, roll=trial.roll)
+    chambers = experiment.chambers
+    near, far = (jnp.array([x.angle[i] for x in chambers]) for i in (0, 1))
+    if all(x.distance is None for x in chambers):
+        return SpaceSettings(near, trial.roll)
+    return SpaceSettings(near, trial.roll, far, jnp.array([x.distance or 0.0 for x in chambers]))
 
 
 def lag_of(experiment: Experiment) -> FirstOrderLag:

@@ -16,6 +16,7 @@ from slider_jax.experiment.actuator_tables import (
     ActuatorTable,
     AnyActuator,
     ChamberTable,
+    TendonTable,
     check_actuators,
 )
 from slider_jax.experiment.sensor_tables import SensorsTable
@@ -477,9 +478,12 @@ class ExperimentTable(Table):
     @model_validator(mode="after")
     def _dimension_fits_the_tables(self) -> Self:
         if self.dimension == 2:
-            for i, chamber in enumerate(self.actuators):
-                if isinstance(chamber, ChamberTable) and chamber.angle != 0.0:
-                    fail(f"actuators.{i}.angle", chamber.angle, "0, unless dimension is 3")
+            for i, x in enumerate(self.actuators):
+                if isinstance(x, (ChamberTable, TendonTable)) and any(x.angle):
+                    given = x.angle[0] if x.angle[0] == x.angle[1] else list(x.angle)
+                    fail(f"actuators.{i}.angle", given, "0, unless dimension is 3")
+                if isinstance(x, ChamberTable) and x.distance is not None:
+                    fail(f"actuators.{i}.distance", x.distance, "nothing, unless dimension is 3")
             for i, trial in enumerate(self.trials):
                 if trial.roll != 0.0:
                     fail(f"trials.{i}.roll", trial.roll, "0, unless dimension is 3")
@@ -487,9 +491,10 @@ class ExperimentTable(Table):
         for key in self.robot.lacking_in_space:
             fail(f"robot.{key}", "nothing", "a number, because dimension is 3")
         for i, actuator in enumerate(self.actuators):
-            if not isinstance(actuator, ChamberTable):
-                fail(f"actuators.{i}.kind", repr(actuator.kind), '"pneumatic", as dimension is 3')
-            if actuator.stiffening:
+            if not isinstance(actuator, (ChamberTable, TendonTable)):
+                allowed = '"pneumatic" or "tendon", as dimension is 3'
+                fail(f"actuators.{i}.kind", repr(actuator.kind), allowed)
+            if isinstance(actuator, ChamberTable) and actuator.stiffening:
                 fail(f"actuators.{i}.stiffening", actuator.stiffening, "0, as dimension is 3")
         for key in ("field", "vortex_street"):
             if getattr(self.water, key) is not None:

@@ -26,8 +26,9 @@ from slider_jax.beam.spatial import (
     turned,
     turning_of,
 )
-from slider_jax.dynamics.block_solver import BeamOperator
+from slider_jax.dynamics.block_solver import BeamOperator, Update
 from slider_jax.effects import Effect, total_load
+from slider_jax.spatial.lines import ChamberLines, TendonLines
 from slider_jax.supports import Support
 
 
@@ -48,6 +49,9 @@ class SpatialStage(eqx.Module):
     active_moment: Vec
     water: Float[Array, "2 3"]
     t: Array
+    tendons: TendonLines | None = None
+    chambers: ChamberLines | None = None
+    """Chambers whose moment depends on the strains; `active_moment` is that of all others."""
 
 
 def vectors(y: Float[Array, "rows n"]) -> list[Vec]:
@@ -91,25 +95,65 @@ def means_and_slopes(y: Float[Array, "12 nodes"], ds) -> tuple[SpatialFields, Sp
 
 @eqx.filter_jit
 def spatial_cell_rows(
-    mid: SpatialFields, slope: SpatialFields, turning: Turning, stage: SpatialStage
+    mid: SpatialFields,
+    slope: SpatialFields,
+    turning: Turning,
+    stage: SpatialStage,
+    tension: Array | None = None,
 ) -> tuple[Array, ...]:
-    """Returns the residuals of the twelve equations of each cell."""
-    x = _section(mid, slope, turning, stage)
-    load = total_load(stage.effects, x)
-    return equations_in_space(mid, slope, x, stage.reference, stage.active_moment, load)
+    """Returns the residuals of the twelve equations of each cell.
+
+    `tension` (tendons,) [N] are the tensions from `tensions_in_space`.
+    """
+    x = _section(mid, slope, turning, stage, tension)
+    load, active = total_load(stage.effects, x), moment_of_chambers(x, stage)
+    if tension is not None and stage.tendons is not None:
+        active = active.plus(stage.tendons.loads(tension, x.strain, x.curvature)[1])
+    return equations_in_space(mid, slope, x, stage.reference, active, load)
 
 
-def _section(mid, slope, turning, stage: SpatialStage) -> SpatialSection:
+def moment_of_chambers(x: SpatialSection, stage: SpatialStage) -> Vec:
+    """Returns the active moment [N m] of the chambers in the cells."""
+    if stage.chambers is None:
+        return stage.active_moment
+    return stage.active_moment.plus(stage.chambers.moment(x.strain, x.curvature))
+
+
+def _section(mid, slope, turning, stage: SpatialStage, tension: Array | None) -> SpatialSection:
+    """Returns the local state of the body; tendons compress the body."""
+    if tension is not None and stage.tendons is not None:
+        strain = _strain(mid.T.tau, turning.curvature, stage, tension)
+        compression, _ = stage.tendons.loads(tension, strain, turning.curvature)
+        mid = mid._replace(T=mid.T._replace(tau=mid.T.tau - compression))
     return section_in_space(
         mid, slope, turning, stage.structure, stage.reference, stage.water, stage.t
     )
+
+
+def _strain(T: Array, curvature: Vec, stage: SpatialStage, tension: Array | None) -> Array:
+    """Returns the strain [-] in the cells at the net axial force `T` [N]."""
+    if tension is None or stage.tendons is None:
+        return strain_in_space(T, stage.structure, stage.reference)
+    return stage.tendons.strain(tension, T, curvature, stage.structure, stage.reference)
+
+
+def tensions_in_space(
+    T: Array, curvature: Vec, stage: SpatialStage
+) -> Float[Array, " tendons"] | None:
+    """Returns the tensions [N] of the tendons at the net axial force `T` [N] and the `curvature`
+    [1/m] in the cells, or None if there are no tendons."""
+    if stage.tendons is None:
+        return None
+    return stage.tendons.tensions(T, curvature, stage.structure, stage.reference, stage.t)
 
 
 def sections(y: Float[Array, "12 nodes"], stage: SpatialStage) -> SpatialSection:
     """Returns the local state of the body in each cell."""
     theta = vectors(y)[3]
     turning = turning_in_cells(theta, stage)
-    return _section(*means_and_slopes(y, stage.structure.ds), turning, stage)
+    mid, slope = means_and_slopes(y, stage.structure.ds)
+    tension = tensions_in_space(mid.T.tau, turning.curvature, stage)
+    return _section(mid, slope, turning, stage, tension)
 
 
 def head_conditions(head: Float[Array, "12"], stage: SpatialStage) -> Float[Array, "6"]:
@@ -126,7 +170,9 @@ def spatial_residual(y: Float[Array, "12 nodes"], stage: SpatialStage):
     """Returns the residuals ((12, cells), (6,), (6,)) of cells, tail and head."""
     theta = vectors(y)[3]
     turning = turning_in_cells(theta, stage)
-    cells = spatial_cell_rows(*means_and_slopes(y, stage.structure.ds), turning, stage)
+    mid, slope = means_and_slopes(y, stage.structure.ds)
+    tension = tensions_in_space(mid.T.tau, turning.curvature, stage)
+    cells = spatial_cell_rows(mid, slope, turning, stage, tension)
     return jnp.stack(cells), y[:6, 0], head_conditions(y[:, -1], stage)
 
 
@@ -175,7 +221,7 @@ def _by_theta(
 
 
 def _by_loads(
-    mid: SpatialFields, curvature: Vec, stage: SpatialStage
+    strain: Array, curvature: Vec
 ) -> tuple[Float[Array, "12 5 cells"], Float[Array, "12 6 cells"]]:
     """Returns the derivatives by the means of T_n, T_b and M, and by the slopes of T and M."""
     one = jnp.ones_like(curvature.tau)
@@ -184,7 +230,7 @@ def _by_loads(
     along = [zero, -curvature.b, curvature.n]
     across = [curvature.b, zero, -curvature.tau]
     upward = [-curvature.n, curvature.tau, zero]
-    stretch = 1.0 + strain_in_space(mid.T.tau, stage.structure, stage.reference)
+    stretch = 1.0 + strain
     none, units = [zero] * 3, [[one, zero, zero], [zero, one, zero], [zero, zero, one]]
     means = [
         [*none, *none, *across, zero, zero, -stretch],
@@ -204,41 +250,45 @@ def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOp
 
     The rows depend on means and slopes of T, M and V, and through omega, Omega, dOmega/dt and the
     frame on theta at the two nodes of the cell. `_by_loads` knows the derivatives by T and M,
-    except the one by the tension, which changes the strain. The other derivatives are those of
+    except the one by the axial force, which changes the strain. The others are those of
     `spatial_cell_rows` along each of V, dV/ds and theta alone, so terms without them cost nothing.
     """
     ds = stage.structure.ds
     mid, slope = means_and_slopes(y, ds)
     theta = vectors(y)[3]
     turning = turning_in_cells(theta, stage)
+    tension = tensions_in_space(mid.T.tau, turning.curvature, stage)
     psi, omega_by_theta, by_theta = _keep(_by_theta(theta, turning, stage))
 
-    def derivative(rows, values, directions) -> Float[Array, "12 n cells"]:
-        return jnp.stack(jax.vmap(lambda d: jax.jvp(rows, (values,), (d,))[1])(directions))
+    def derivative(function, values, directions) -> Float[Array, "12 n cells"]:
+        return jnp.stack(jax.vmap(lambda d: jax.jvp(function, (values,), (d,))[1])(directions))
 
-    def by_tension(tension):
-        return spatial_cell_rows(mid._replace(T=mid.T._replace(tau=tension)), slope, turning, stage)
+    def rows(mid, slope, turning):
+        return spatial_cell_rows(mid, slope, turning, stage, tension)
+
+    def by_axial_force(T_tau):
+        return rows(mid._replace(T=mid.T._replace(tau=T_tau)), slope, turning)
 
     def by_velocity(V):
-        return spatial_cell_rows(mid._replace(V=V), slope, turning, stage)
+        return rows(mid._replace(V=V), slope, turning)
 
     def by_slope(V_s):
-        return spatial_cell_rows(mid, slope._replace(V=V_s), turning, stage)
+        return rows(mid, slope._replace(V=V_s), turning)
 
     def by_turning(values):
         *rates, small = values
-        turned_on = Turning(*rates, _moved(turning.frame, small))
-        return spatial_cell_rows(mid, slope, turned_on, stage)
+        return rows(mid, slope, Turning(*rates, _moved(turning.frame, small)))
 
     one = jnp.ones((1, *ds.shape), ds.dtype)
     each, zero = _each_component(ds), jnp.zeros_like(ds)
     rotations = (turning.omega, turning.curvature, turning.curvature_t, Vec(zero, zero, zero))
-    of_tension = derivative(by_tension, mid.T.tau, one)
+    of_axial_force = derivative(by_axial_force, mid.T.tau, one)
     of_velocity = derivative(by_velocity, mid.V, each)
     of_slope = derivative(by_slope, slope.V, each)
     of_theta = derivative(by_turning, rotations, by_theta)
-    of_loads, of_their_slopes = _by_loads(mid, turning.curvature, stage)
-    to_mid = jnp.concatenate([of_tension, of_loads, of_velocity], axis=1)
+    strain = _strain(mid.T.tau, turning.curvature, stage, tension)
+    of_loads, of_their_slopes = _by_loads(strain, turning.curvature)
+    to_mid = jnp.concatenate([of_axial_force, of_loads, of_velocity], axis=1)
     to_slope = jnp.concatenate([of_their_slopes, of_slope], axis=1)
     from_mid, from_slope = 0.5 * to_mid, to_slope / ds
     return BeamOperator(
@@ -246,6 +296,7 @@ def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOp
         right=jnp.concatenate([from_mid + from_slope, of_theta[:, 3:]], axis=1),
         tail=jnp.eye(6, 12, dtype=y.dtype),
         head=_head_jacobian(y[:, -1], at((psi, omega_by_theta), -1), stage),
+        update=_through_tensions(y, stage),
     )
 
 
@@ -264,3 +315,23 @@ def _head_jacobian(
     direct, by_frame, by_omega = jax.jacfwd(rows, argnums=(0, 1, 2))(*values)
     psi, spin = (jnp.stack(x) for x in by_theta)
     return jnp.concatenate([direct, by_frame @ psi + by_omega @ spin], axis=1)
+
+
+def _through_tensions(y: Float[Array, "12 nodes"], stage: SpatialStage) -> Update | None:
+    """Returns the part of the Jacobian that is due to the elongation of elastic tendons."""
+    if stage.tendons is None or not stage.tendons.elastic:
+        return None
+
+    def tensions(y):
+        mid, _ = means_and_slopes(y, stage.structure.ds)
+        curvature = turning_in_cells(vectors(y)[3], stage).curvature
+        return tensions_in_space(mid.T.tau, curvature, stage)
+
+    mid, slope = means_and_slopes(y, stage.structure.ds)
+    turning = turning_in_cells(vectors(y)[3], stage)
+
+    def rows(tension):
+        return jnp.stack(spatial_cell_rows(mid, slope, turning, stage, tension))
+
+    columns = jax.jacfwd(rows)(tensions(y))
+    return Update(jnp.moveaxis(columns, -1, 0), jax.jacrev(tensions)(y))

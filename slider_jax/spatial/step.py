@@ -10,6 +10,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
+from slider_jax.actuation import Tendon
 from slider_jax.beam.parameters import Numerics, grid_of, scales_of
 from slider_jax.beam.spatial import (
     Quaternion,
@@ -19,7 +20,6 @@ from slider_jax.beam.spatial import (
     about_b,
     about_tau,
     rotation_vector,
-    strain_in_space,
     turned,
     unit,
 )
@@ -29,6 +29,7 @@ from slider_jax.dynamics.pressures import Chambers, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, run_steps
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme, extrapolation
 from slider_jax.effects import in_space, total_load
+from slider_jax.spatial.lines import chamber_lines, lines_of_chambers, tendon_lines
 from slider_jax.spatial.mesh import SpatialMesh, spatial_mesh
 from slider_jax.spatial.residual import (
     LEFT,
@@ -36,6 +37,7 @@ from slider_jax.spatial.residual import (
     SpatialStage,
     at,
     frame_and_omega,
+    moment_of_chambers,
     sections,
     spatial_jacobian,
     spatial_residual,
@@ -149,11 +151,12 @@ class SpatialSnapshot(eqx.Module):
         return self.y[6, -1]
 
     def actuator_power(self) -> Array:
-        """Returns the mechanical power [W] of the actuators on the body: int M_act dOmega/dt ds.
+        """Returns the mechanical power [W] of the chambers on the body: int M_act dOmega/dt ds.
 
         See `chamber_power`, which gives the power of each chamber in the plane.
         """
-        moment, rate = jnp.stack(self.stage.active_moment), jnp.stack(self.section().curvature_t)
+        x = self.section()
+        moment, rate = jnp.stack(moment_of_chambers(x, self.stage)), jnp.stack(x.curvature_t)
         return self.mesh.grid.integral(jnp.sum(moment * rate, axis=0))
 
     def force_density(self) -> Float[Array, "3 cells"]:
@@ -184,14 +187,16 @@ def settings_in_space(model: Model) -> SpaceSettings:
             f"a robot in three dimensions: given the effects {', '.join(wrong)}, which are defined "
             "in the plane only; remove them or use two dimensions"
         )
-    if model.actuators:
-        raise ValueError("a robot in three dimensions has chambers, and no other actuators yet")
+    if not all(isinstance(x, Tendon) for x in model.actuators):
+        raise ValueError("a robot in three dimensions has chambers and tendons only")
     if isinstance(model.water, WaterField):
         raise ValueError("a robot in three dimensions needs uniform water")
     if model.space is None:
         raise ValueError("a model in three dimensions needs `space`, a `SpaceSettings`")
     if model.robot.stiffening is not None:
         raise ValueError("a robot in three dimensions has no stiffening by pressure yet")
+    if model.space.far_angles is not None and model.space.distances is None:
+        raise ValueError("helical chambers need `distances` from the axis")
     return model.space
 
 
@@ -211,8 +216,10 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
     scale = _scales(model)
     predict = jnp.asarray(extrapolation(scheme))
     nodes, weights = jnp.asarray(scheme.nodes), jnp.asarray(scheme.weights)
-    grid, angles = mesh.grid, jnp.asarray(settings_in_space(model).angles, float)
-    zero = jnp.zeros_like(grid.ds)
+    grid, space = mesh.grid, settings_in_space(model)
+    angles, zero = jnp.asarray(space.angles, float), jnp.zeros_like(grid.ds)
+    tendons = tendon_lines(model.actuators, mesh.structure)
+    places = lines_of_chambers(space, model.body.chambers, mesh.structure)
     bending_n = -mesh.chambers * jnp.sin(angles)[:, None]
     bending_b = mesh.chambers * jnp.cos(angles)[:, None]
 
@@ -232,6 +239,8 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             dt=dt,
         )
         water = jnp.stack(jax.jvp(model.water_velocity, (t,), (jnp.ones_like(t),)))
+        pressure = chambers.acting
+        active = Vec(zero, pressure @ bending_n, pressure @ bending_b)
         stage = SpatialStage(
             structure=mesh.structure,
             effects=model.effects,
@@ -239,9 +248,11 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             reference=reference,
             frame=start,
             theta=Vec(*memory.theta),
-            active_moment=Vec(zero, chambers.acting @ bending_n, chambers.acting @ bending_b),
+            active_moment=active if places is None else Vec(zero, zero, zero),
             water=_space(water),
             t=t,
+            tendons=tendons,
+            chambers=chamber_lines(places, pressure, mesh.chambers),
         )
 
         def theta_of(frames):
@@ -273,7 +284,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             V=jnp.stack(V),
             omega=jnp.stack(omega),
             theta=jnp.stack(theta),
-            strain=strain_in_space(grid.mid(y[0]), mesh.structure, reference),
+            strain=sections(y, stage).strain,
             head=anchor,
         )
         state = jax.tree.map(lambda a, b: jnp.where(ok, a, b), solved, carry.memory)

@@ -18,6 +18,7 @@ class AxialFlexibility(BodyChange):
     title = "the body stretches"
     order = 300
     segments = ("body",)
+    serves_space = True
 
     compliance: Scalar = parameter(
         0.0, 0.0, 4e-3, "1/N", "1/EA is 2e-3 for EI = 0.038 N m^2 and walls 8 mm from the midline"

@@ -18,6 +18,7 @@ class CarriedMass(BodyChange):
     title = "mass carried along by the body"
     order = 290
     segments = ("body", "tail")
+    serves_space = True
 
     dm: Scalar = parameter(
         0.0, 0.0, 0.4, "kg/m", "0.4 for water in folds of 4 cm^2; 0.05 for sensors and tubes"

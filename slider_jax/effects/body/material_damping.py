@@ -19,6 +19,7 @@ class MaterialDamping(BodyChange):
     title = "the material damps more or less"
     order = 280
     segments = ("body", "tail")
+    serves_space = True
 
     x: Scalar = parameter(
         0.0,

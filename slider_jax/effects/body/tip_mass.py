@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.spatial import SpatialLoad, no_load
 from slider_jax.effects.base import ForceDensity, parameter
 
 
@@ -13,7 +14,8 @@ class TipMass(ForceDensity):
         (1 + eps) F_tau = -(mass/l) (dV_tau/dt - omega V_n)
         (1 + eps) F_n   = -(mass/l) (dV_n/dt + omega V_tau)      for s < l
 
-    V is the velocity relative to the tank, omega the turning rate and eps the axial strain.
+    V is the velocity relative to the tank, omega the turning rate and eps the axial strain. In
+    space, the acceleration is dV/dt + omega x V.
     Source: balance of momentum; Blevins, R. D. (1979), Formulas for natural frequency and mode
     shape, ch. 8, on beams that carry masses.
     """
@@ -30,7 +32,15 @@ class TipMass(ForceDensity):
     length: Scalar = eqx.field(default=0.01)
     """Length l [m] of the part of the tail that carries the mass."""
 
+    def _per_length(self, s, ds, strain):
+        covered = jnp.clip((self.length - s) / ds + 0.5, 0.0, 1.0)
+        return self.mass / self.length * covered / (1.0 + strain)
+
+    def load_in_space(self, x):
+        m = self._per_length(x.structure.s, x.structure.ds, x.strain)
+        force = x.V_t.plus(x.omega.cross(x.V)).times(-m)
+        return SpatialLoad(force, no_load(x).couple)
+
     def force(self, x):
-        covered = jnp.clip((self.length - x.s) / x.ds + 0.5, 0.0, 1.0)
-        m = self.mass / self.length * covered / (1.0 + x.strain)
+        m = self._per_length(x.s, x.ds, x.strain)
         return -m * (x.V_tau_t - x.omega * x.V_n), -m * (x.V_n_t + x.omega * x.V_tau)

@@ -98,6 +98,21 @@ def test_the_model_has_the_properties_of_the_file(tmp_path):
     np.testing.assert_allclose(mesh.structure.width, 0.02)
 
 
+def test_tendons_and_helical_chambers_have_their_angles():
+    model = to_model(experiment())
+    assert model.space.distances is None and model.space.far_angles is None
+    front = {"kind": "pneumatic", "name": "front", "span": [0.02, 0.14], "angle": 0.4}
+    rear = front | {"name": "rear", "span": [0.15, 0.28], "angle": [0.1, -2.0], "distance": 0.02}
+    helix = TENDON | {"angle": [0.0, 3.0], "offset": [0.01, 0.02]}
+    model = to_model(experiment(actuators=[front, rear, helix]))
+    np.testing.assert_allclose(model.space.angles, [0.4, 0.1])
+    np.testing.assert_allclose(model.space.far_angles, [0.4, -2.0])
+    np.testing.assert_allclose(model.space.distances, [0.0, 0.02])
+    (tendon,) = model.actuators
+    np.testing.assert_allclose(tendon.angle_at(jnp.array([0.02, 0.2])), [0.0, 3.0], atol=1e-15)
+    assert float(tendon.angle_rate) == pytest.approx(-3.0 / 0.18)
+
+
 def test_segments_have_their_own_torsional_stiffness(tmp_path):
     (tmp_path / "segments.toml").write_text(SEGMENTS)
     robot = to_model(load(tmp_path / "segments.toml", spatial=True)).body
@@ -108,6 +123,7 @@ def test_segments_have_their_own_torsional_stiffness(tmp_path):
 
 
 TENDON = {"kind": "tendon", "name": "left", "span": [0.02, 0.2], "offset": 0.01, "tension": 1.0}
+WAVE = {"kind": "shape", "name": "w", "span": [0.0, 0.2], "wavelength": 1.0, "amplitude": [1, 0, 0]}
 BAD = [
     ({"dimension": 4}, "dimension: given 4"),
     ({"dimension": 1}, "dimension: given 1"),
@@ -133,7 +149,27 @@ BAD = [
     ({"actuators__0__angle": 90.0}, "actuators.0.angle"),
     ({"actuators__0__angle": float("nan")}, "actuators.0.angle"),
     ({"actuators__0__stiffening": 1e-8}, "actuators.0.stiffening: given 1e-08; allowed 0"),
-    ({"actuators": [TENDON], "trials__0__amplitude": None}, "actuators.0.kind: given 'tendon'"),
+    (
+        {"actuators": [WAVE], "trials__0__amplitude": None},
+        'actuators.0.kind: given \'shape\'; allowed "pneumatic" or "tendon", as dimension is 3',
+    ),
+    ({"actuators__0__angle": [0.0, 1.0]}, "actuators.0.distance: given nothing; allowed a length"),
+    ({"actuators__0__angle": [0.0, 1.0, 2.0]}, "actuators.0.angle"),
+    ({"actuators__0__distance": 0.0}, "actuators.0.distance"),
+    (
+        {"dimension": 2, "actuators__0__angle": None, "actuators__0__distance": 0.01},
+        "actuators.0.distance: given 0.01; allowed nothing, unless dimension is 3",
+    ),
+    (
+        {
+            "dimension": 2,
+            "actuators": [TENDON | {"angle": [0.0, 1.0]}],
+            "trials__0__amplitude": None,
+        },
+        r"actuators.0.angle: given \[0.0, 1.0\]; allowed 0, unless dimension is 3",
+    ),
+    ({"actuators": [TENDON | {"angle": 90.0}]}, "actuators.0.angle"),
+    ({"actuators": [TENDON | {"distance": 0.01}]}, "actuators.0.distance"),
     ({"trials__0__roll": 30.0}, "trials.0.roll"),
     ({"effects": [{"name": "tail_stiffness"}]}, "effects.0.name: given 'tail_stiffness', which is"),
     ({"effects": [{"name": "gravity", "elevation": "up"}]}, "effects.0.elevation"),

@@ -17,8 +17,12 @@ from slider_jax.dynamics.model import SpaceSettings
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.time_schemes import BACKWARD_EULER, SDIRK2
 from slider_jax.effects import NormalDrag, ReactiveForce, total_load
+from slider_jax.effects.body.axial_flexibility import AxialFlexibility
+from slider_jax.effects.body.carried_mass import CarriedMass
 from slider_jax.effects.body.gravity import Gravity
+from slider_jax.effects.body.material_damping import MaterialDamping
 from slider_jax.effects.body.tail_stiffness import TailStiffness
+from slider_jax.effects.body.tip_mass import TipMass
 from slider_jax.effects.water.tangential_friction import TangentialFriction
 from slider_jax.errors import InputError
 from slider_jax.rod.equilibrium import solve_equilibrium
@@ -59,7 +63,8 @@ def moving(begin, V=None, omega=None):
 )
 def test_a_planar_run_in_rotated_planes_is_the_planar_programs(support):
     """Readings agree to 1e-8 in three planes, and nothing moves out of the plane."""
-    effects = (ReactiveForce(1.0), NormalDrag(2.0), TangentialFriction(0.02))
+    of_body = (MaterialDamping(0.5), CarriedMass(0.1), AxialFlexibility(1e-4), TipMass(3e-3))
+    effects = (ReactiveForce(1.0), NormalDrag(2.0), TangentialFriction(0.02), *of_body)
     model = spatial(swimmer(2.0, 30e3, wave=SineWave, support=support, effects=effects))
     numerics = replace(SMALL, tolerance=1e-11)
     times = TimeGrid(0.01, 25)
