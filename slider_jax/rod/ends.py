@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from slider_jax.rod.rod import Rod, RodShape, rod_shape
 from slider_jax.rod.rotations import rotation
 
-BOW = 0.3
+BOW = 0.1
 """Angle [rad] between the two slopes of the extra curvature and the unloaded rod."""
 
 

@@ -23,8 +23,8 @@ from slider_jax.rod.rod import Rod, RodShape, rod_shape
 from slider_jax.rod.rotations import rotation
 from slider_jax.rod.virtual_work import rod_equations, unloaded_tip
 
-TOLERANCE = 1e-8
-"""Largest relative step of the strains at which Newton's method stops, before one more step."""
+TOLERANCE = 1e-10
+"""Largest relative error of the strains and of the end's place before the last Newton step."""
 MOST_ITERATIONS = 30
 """Most Newton iterations at one share of the loads."""
 SHARES = (4, 16, 64, 256)
@@ -41,7 +41,8 @@ class RodEquilibrium(NamedTuple):
     moment: Float[Array, "3"]
     """Moment [N m] that the rod exerts on the support of the near end, in space."""
     residual: Float[Array, ""]
-    """Largest error of a strain, divided by the largest strain or by 1/length."""
+    """Largest error of a strain, divided by the largest strain or by 1/length; or error of the far
+    end's turn, or of its place divided by the length."""
     ok: Bool[Array, ""]
     """Whether Newton's method converged."""
     end_force: Float[Array, "3"]
@@ -122,9 +123,7 @@ def _step(x: _State, system: _System, end: HeldEnd | None, matrix: _System) -> _
     if end is not None:
         near = rotation(end.near_axes @ change[size:unknowns]) @ near
     return _State(
-        x.strains + change[:size].reshape(x.strains.shape),
-        near,
-        x.pull + scale * change[unknowns:],
+        x.strains + change[:size].reshape(x.strains.shape), near, x.pull + scale * change[unknowns:]
     )
 
 
@@ -151,16 +150,18 @@ def equilibrium(
         def improve(state):
             x, _, count = state
             system = _system(x, *part)
-            after = _step(x, system, part[2], system)
-            change = jnp.max(jnp.abs(after.strains - x.strains)) / _size(after.strains, given[0])
-            return after, change, count + 1
+            return (
+                _step(x, system, part[2], system),
+                _error(x, system, given[0], given[2]),
+                count + 1,
+            )
 
         def unfinished(state):
-            _, change, count = state
-            return (change > TOLERANCE) & (count < MOST_ITERATIONS) & (change < jnp.inf)
+            _, error, count = state
+            return (error > TOLERANCE) & (count < MOST_ITERATIONS) & (error < jnp.inf)
 
-        x, change, _ = jax.lax.while_loop(unfinished, improve, (guess, 1.0, 0))
-        found = change <= TOLERANCE
+        x, error, _ = jax.lax.while_loop(unfinished, improve, (guess, 1.0, 0))
+        found = error <= TOLERANCE
         # After a failure, the further shares fail at once.
         return jax.tree.map(lambda v: jnp.where(found, v, jnp.nan), x), found
 
@@ -175,8 +176,7 @@ def equilibrium(
     # One more step, which carries the derivatives: the matrix needs none.
     part = _share_of(loads, rod, end, 1.0)
     system = _system(x, *part)
-    weights = (rod.elasticity * rod.ds[:, None]).ravel()
-    error = jnp.max(jnp.abs(system.error[: weights.size] / weights)) / _size(x.strains, rod)
+    error = _error(x, system, rod, end)
     x = _step(x, system, part[2], jax.lax.stop_gradient(system))
     pull = (jnp.zeros(3), jnp.zeros(3)) if end is None else end.pull(x.pull)
     rod = replace(rod, clamp=x.near)
@@ -195,8 +195,17 @@ def equilibrium(
     )  # fmt: skip
 
 
-def _size(strains, rod: Rod) -> Float[Array, ""]:
-    return jnp.maximum(jnp.max(jnp.abs(strains)), 1.0 / jnp.sum(rod.ds))
+def _error(x: _State, system: _System, rod: Rod, end: HeldEnd | None) -> Float[Array, ""]:
+    """Returns the largest relative error of a strain, or of the place of the far end."""
+    weights = (rod.elasticity * rod.ds[:, None]).ravel()
+    length = jnp.sum(rod.ds)
+    size = jnp.maximum(jnp.max(jnp.abs(x.strains)), 1.0 / length)
+    strain = jnp.max(jnp.abs(system.error[: weights.size] / weights)) / size
+    if end is None:
+        return strain
+    moved, turned = jnp.split(jnp.abs(system.away), [len(end.held)])
+    away = jnp.max(moved, initial=0.0) / length
+    return jnp.max(jnp.stack([strain, away, jnp.max(turned, initial=0.0)]))
 
 
 def solve_equilibrium(rod: Rod, loads: RodLoads, end: HeldEnd | None = None) -> RodEquilibrium:
