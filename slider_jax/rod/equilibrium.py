@@ -23,12 +23,14 @@ from slider_jax.rod.rod import Rod, RodShape, rod_shape
 from slider_jax.rod.rotations import rotation
 from slider_jax.rod.virtual_work import rod_equations, unloaded_tip
 
-TOLERANCE = 1e-10
-"""Largest relative error of the strains and of the end's place before the last Newton step."""
+TOLERANCE = 1e-11
+"""Largest relative error of the strains and of the end's place at which Newton's method stops."""
 MOST_ITERATIONS = 30
 """Most Newton iterations at one share of the loads."""
-SHARES = (4, 16, 64, 256)
-"""Numbers of equal load increments that `solve_equilibrium` tries one after the other."""
+LARGEST_STEP, SMALLEST_STEP = 0.25, 1e-3
+"""Largest step of the share of the loads, and smallest step divided by the largest one."""
+LARGEST_TURN = 0.125
+"""Most turns of a held end in a step."""
 
 
 class RodEquilibrium(NamedTuple):
@@ -128,71 +130,78 @@ def _step(x: _State, system: _System, end: HeldEnd | None, matrix: _System) -> _
 
 
 @eqx.filter_jit
-def equilibrium(
-    rod: Rod,
-    loads: RodLoads,
-    increments: int,
-    start: Float[Array, "points q"] | None = None,
-    end: HeldEnd | None = None,
+def _solve(
+    guess: _State, rod: Rod, loads: RodLoads, end: HeldEnd | None, share
+) -> tuple[_State, Bool[Array, ""]]:
+    """Returns the equilibrium at a share of the loads, and whether Newton's method converged."""
+    part = _share_of(loads, rod, end, share)
+
+    def improve(state):
+        x, _, count = state
+        system = _system(x, *part)
+        error = _error(x, system, rod, end)
+        after = _step(x, system, part[2], system)
+        # A step beyond the tolerance would only add rounding errors to a soft rod.
+        return (
+            jax.tree.map(lambda a, b: jnp.where(error > TOLERANCE, a, b), after, x),
+            error,
+            count + 1,
+        )
+
+    def unfinished(state):
+        _, error, count = state
+        return (error > TOLERANCE) & (count < MOST_ITERATIONS) & (error < jnp.inf)
+
+    x, error, _ = jax.lax.while_loop(unfinished, improve, (guess, 1.0, 0))
+    return x, error <= TOLERANCE
+
+
+@eqx.filter_jit
+def _found(
+    x: _State, rod: Rod, loads: RodLoads, end: HeldEnd | None, ok: Bool[Array, ""]
 ) -> RodEquilibrium:
-    """Returns the equilibrium that is reached if the loads grow in `increments` equal steps.
-
-    With `start`, the strains of a known equilibrium under similar loads, use one increment.
-    With `end`, the far end is held, and moves to its place in the same steps.
-    The result is differentiable with respect to rod, loads and supports (implicit
-    function theorem), and may be batched with `jax.vmap`.
-    """
-    given = jax.lax.stop_gradient((rod, loads, end))
-
-    def solve(guess: _State, share):
-        part = _share_of(given[1], given[0], given[2], share)
-
-        def improve(state):
-            x, _, count = state
-            system = _system(x, *part)
-            return (
-                _step(x, system, part[2], system),
-                _error(x, system, given[0], given[2]),
-                count + 1,
-            )
-
-        def unfinished(state):
-            _, error, count = state
-            return (error > TOLERANCE) & (count < MOST_ITERATIONS) & (error < jnp.inf)
-
-        x, error, _ = jax.lax.while_loop(unfinished, improve, (guess, 1.0, 0))
-        found = error <= TOLERANCE
-        # After a failure, the further shares fail at once.
-        return jax.tree.map(lambda v: jnp.where(found, v, jnp.nan), x), found
-
-    begin = given[0].unloaded if start is None else jax.lax.stop_gradient(start)
-    pull = jnp.zeros(0)
-    if end is not None:
-        pull = jnp.zeros(len(end.held) + len(end.turning_held))
-        if start is None:
-            begin = begin.at[:, :3].add(given[2].bow)
-    shares = jnp.arange(1, increments + 1) / increments
-    x, found = jax.lax.scan(solve, _State(begin, given[0].clamp, pull), shares)
-    # One more step, which carries the derivatives: the matrix needs none.
+    """Returns the equilibrium of a state, with the derivatives of one more Newton step."""
     part = _share_of(loads, rod, end, 1.0)
     system = _system(x, *part)
     error = _error(x, system, rod, end)
-    x = _step(x, system, part[2], jax.lax.stop_gradient(system))
+    step = _step(x, system, part[2], jax.lax.stop_gradient(system))
+    x = jax.tree.map(lambda a, b: a + (b - jax.lax.stop_gradient(b)), x, step)
     pull = (jnp.zeros(3), jnp.zeros(3)) if end is None else end.pull(x.pull)
     rod = replace(rod, clamp=x.near)
     shape = rod_shape(rod, x.strains)
     force, moment = loads.on_tip(shape.frame[-1], unloaded_tip(rod, loads))
     force, arm = force + pull[0], shape.position[-1]
+    moment = moment + pull[1] + jnp.cross(arm, force)
     return RodEquilibrium(
         x.strains,
         shape,
         force + jnp.sum(rod.weight * rod.ds) * loads.down,
-        moment + pull[1] + jnp.cross(arm, force)
-        + jnp.cross(weighted_place(rod, x.strains, shape), loads.down),
+        moment + jnp.cross(weighted_place(rod, x.strains, shape), loads.down),
         error,
-        jnp.all(found) & jnp.all(jnp.isfinite(x.strains)),
+        ok & jnp.all(jnp.isfinite(x.strains)),
         *pull,
-    )  # fmt: skip
+    )
+
+
+@eqx.filter_jit
+def equilibrium(
+    rod: Rod, loads: RodLoads, increments: int, start: Float[Array, "points q"] | None = None
+) -> RodEquilibrium:
+    """Returns the equilibrium that is reached if the loads grow in `increments` equal steps.
+
+    With `start`, the strains of a known equilibrium under similar loads, use one increment.
+    The result is differentiable with respect to rod and loads (implicit
+    function theorem), and may be batched with `jax.vmap`.
+    """
+    given = jax.lax.stop_gradient((rod, loads))
+    begin = given[0].unloaded if start is None else jax.lax.stop_gradient(start)
+    shares = jnp.arange(1, increments + 1) / increments
+    x, ok = jax.lax.scan(
+        lambda x, share: _solve(x, *given, None, share),
+        _State(begin, given[0].clamp, jnp.zeros(0)),
+        shares,
+    )
+    return _found(x, rod, loads, None, jnp.all(ok))
 
 
 def _error(x: _State, system: _System, rod: Rod, end: HeldEnd | None) -> Float[Array, ""]:
@@ -209,12 +218,35 @@ def _error(x: _State, system: _System, rod: Rod, end: HeldEnd | None) -> Float[A
 
 
 def solve_equilibrium(rod: Rod, loads: RodLoads, end: HeldEnd | None = None) -> RodEquilibrium:
-    """Returns the equilibrium, with as few load increments as converge.
+    """Returns the equilibrium that is reached if the loads grow, and the held end moves.
 
-    Raises `SolverError` if Newton's method does not converge even with the most increments.
+    A step is halved if Newton's method does not converge, or if the shape changes too much.
+    Raises `SolverError` if the steps become too small.
     """
-    for increments in SHARES:
-        found = equilibrium(rod, loads, increments, None, end)
+    begin, largest, pull = rod.unloaded, LARGEST_STEP, jnp.zeros(0)
+    if end is not None:
+        begin = begin.at[:, :3].add(end.bow)
+        largest = min(largest, LARGEST_TURN / max(abs(float(end.turns)), 1e-9))
+        pull = jnp.zeros(len(end.held) + len(end.turning_held))
+    x = before = _State(begin, rod.clamp, pull)
+    share, step, last = 0.0, largest, jnp.inf
+    while share < 1.0:
+        step = min(step, 1.0 - share)
+        ahead = jax.tree.map(lambda a, b, f=step / last: a + f * (a - b), x, before)
+        after, ok = _solve(ahead._replace(near=x.near), rod, loads, end, jnp.asarray(share + step))
+        if end is not None:
+            change = jnp.max(jnp.abs(after.strains - x.strains))
+            ok = ok & (change < jnp.maximum(jnp.max(jnp.abs(x.strains)), 1.0 / jnp.sum(rod.ds)))
+        if ok:
+            x, before, last = after, x, step
+            share = share + step if share + step < 1.0 - 1e-12 else 1.0
+            step = min(2.0 * step, largest)
+        else:
+            step = 0.5 * step
+            if step < SMALLEST_STEP * largest:
+                break
+    if share == 1.0:
+        found = _found(x, rod, loads, end, jnp.array(True))
         if found.ok:
             return found
     if end is None:
@@ -222,8 +254,8 @@ def solve_equilibrium(rod: Rod, loads: RodLoads, end: HeldEnd | None = None) -> 
     else:
         remedy = "reduce the loads, or move or turn the held end less"
     raise SolverError(
-        f"the equilibrium of the rod was not found with {SHARES[-1]} load increments; the rod may "
-        f"jump to another shape at a smaller load: {remedy}"
+        f"the equilibrium of the rod was not found beyond {100.0 * share:.3g} % of the loads; the "
+        f"rod may jump to another shape there: {remedy}"
     )
 
 
