@@ -14,8 +14,7 @@ from jaxtyping import Array, Bool, Float
 from slider_jax.beam.parameters import G
 from slider_jax.rod.equilibrium import RodEquilibrium, equilibrium
 from slider_jax.rod.loads import RodLoads, RodTendon, straight_tendon
-from slider_jax.rod.rod import Rod
-from slider_jax.rod.rotations import mean_rotation, rotation
+from slider_jax.rod.rod import Rod, gauss_points, half_cells
 
 LENGTH, TENDON_END = 0.360, 0.305
 """Lengths [m] of the arm, and of the part with tendons."""
@@ -31,8 +30,21 @@ MARKER_OFFSETS = ((0.0, 0.0, 0.025), (0.0, 0.0, -0.021), (0.0, 0.0, 0.020), (0.0
 """Places (t, n, b) [m] of the markers relative to the axis."""
 CLAMP = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
 """Frame at the base, with t, n and b as columns: the arm hangs along -z."""
-CELLS = 24
-"""Number of cells."""
+EDGES = np.concatenate(
+    [
+        np.linspace(begin, end, cells, endpoint=False)
+        for begin, end, cells in zip(
+            (0.0, *MARKER_S[:3], TENDON_END), (*MARKER_S[:3], TENDON_END, LENGTH), (4, 3, 2, 1, 2),
+            strict=True,
+        )
+    ]
+    + [[LENGTH]]
+)  # fmt: skip
+"""Ends [m] of the cells. The markers and the end of the tendons are among them."""
+POINTS = 2 * (len(EDGES) - 1)
+"""Number of points with strains, two in each cell."""
+MARKER_NODES = np.searchsorted(EDGES, np.array(MARKER_S) - 1e-9)
+"""Numbers of the nodes at the markers."""
 INCREMENTS = 8
 """Number of load increments from the unloaded arm."""
 POISSON = 0.45
@@ -57,7 +69,7 @@ class ArmParts(eqx.Module):
     """Places (t, n, b) [m] of the markers relative to the axis."""
     base: Float[Array, "3"]
     """Position (x, y, z) [m] of the base, relative to its stated place."""
-    strains: Float[Array, "cells 4"]
+    strains: Float[Array, "points 4"]
     """Latest known strains, for effects that depend on the shape."""
 
 
@@ -66,22 +78,20 @@ class ArmShape(NamedTuple):
 
     markers: Float[Array, "4 3"]
     """Positions (x, y, z) [m] of the markers."""
-    strains: Float[Array, "cells 4"]
+    strains: Float[Array, "points 4"]
     ok: Bool[Array, ""]
 
 
 def rod_of(parameters: ArmParameters) -> Rod:
     """Returns the arm as a rod, with the properties of its circular sections."""
-    ds = LENGTH / CELLS
-    s = (np.arange(CELLS) + 0.5) * ds
     places, radii = np.array(RADII).T
-    radius = np.interp(s, places, radii)
+    radius = np.interp(gauss_points(EDGES), places, radii)
     E, shear = parameters.E, parameters.E / (2.0 * (1.0 + POISSON))
     EI = E * np.pi * radius**4 / 4.0
     return Rod(
-        ds=jnp.full(CELLS, ds),
+        ds=jnp.asarray(np.diff(half_cells(EDGES))),
         stiffness=jnp.stack([shear * np.pi * radius**4 / 2.0, EI, EI], axis=1),
-        initial_curvature=jnp.zeros((CELLS, 3)),
+        initial_curvature=jnp.zeros((len(radius), 3)),
         clamp=jnp.array(CLAMP),
         weight=parameters.density * G * np.pi * radius**2,
         EA=E * np.pi * radius**2,
@@ -90,17 +100,16 @@ def rod_of(parameters: ArmParameters) -> Rod:
 
 def arm_tendons(tensions: Float[Array, "2"]) -> tuple[RodTendon, ...]:
     """Returns both tendons with the given tensions [N]."""
-    edges = np.linspace(0.0, LENGTH, CELLS + 1)
     near, far = TENDON_RADIUS, TENDON_RADIUS + TENDON_TAPER * TENDON_END
     sides = [np.array([np.cos(angle), np.sin(angle)]) for angle in TENDON_ANGLES]
     return tuple(
-        straight_tendon((0.0, TENDON_END), near * side, far * side, tension, edges)
+        straight_tendon((0.0, TENDON_END), near * side, far * side, tension, EDGES)
         for side, tension in zip(sides, tensions, strict=True)
     )
 
 
 def arm_parts(
-    parameters: ArmParameters, tensions: Float[Array, "2"], strains: Float[Array, "cells 4"]
+    parameters: ArmParameters, tensions: Float[Array, "2"], strains: Float[Array, "points 4"]
 ) -> ArmParts:
     """Returns the parts of the arm as stated, under two tensions [N]."""
     rod, tendons = rod_of(parameters), arm_tendons(tensions)
@@ -108,7 +117,7 @@ def arm_parts(
 
 
 def arm_shape(
-    parts: ArmParts, increments: int, start: Float[Array, "cells 4"] | None = None
+    parts: ArmParts, increments: int, start: Float[Array, "points 4"] | None = None
 ) -> ArmShape:
     """Returns the shape under tensions and weight.
 
@@ -122,17 +131,9 @@ def arm_shape(
 
 def arm_under(parameters: ArmParameters, tensions: Float[Array, "2"]) -> ArmShape:
     """Returns the shape of the stated arm under two tensions [N] and its weight."""
-    return arm_shape(arm_parts(parameters, tensions, jnp.zeros((CELLS, 4))), INCREMENTS)
+    return arm_shape(arm_parts(parameters, tensions, jnp.zeros((POINTS, 4))), INCREMENTS)
 
 
 def _markers(found: RodEquilibrium, offsets: Float[Array, "4 3"]) -> Float[Array, "4 3"]:
-    ds = LENGTH / CELLS
-    places = []
-    for s, offset in zip(MARKER_S, offsets, strict=True):
-        cell = min(int(s / ds), CELLS - 1)
-        ahead = s - cell * ds
-        turn = found.strains[cell, :3] * ahead
-        chord = mean_rotation(turn)[:, 0] * ahead * (1.0 + found.strains[cell, 3])
-        within = chord + rotation(turn) @ offset
-        places.append(found.shape.position[cell] + found.shape.frame[cell] @ within)
-    return jnp.stack(places)
+    turned = jnp.einsum("kij,kj->ki", found.shape.frame[MARKER_NODES], offsets)
+    return found.shape.position[MARKER_NODES] + turned

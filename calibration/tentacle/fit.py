@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from calibration.tentacle.arm import (
-    CELLS,
     INCREMENTS,
+    POINTS,
     ArmParameters,
     ArmShape,
     arm_parts,
@@ -44,7 +44,7 @@ def shapes_of_arms(
     base: Float[Array, "2"],
     values: Float[Array, "runs parameters"],
     tensions: Float[Array, "runs 2"],
-    strains: Float[Array, "runs cells 4"],
+    strains: Float[Array, "runs points 4"],
     share: Float[Array, ""],
 ) -> ArmShape:
     """Returns the shapes of the runs under a share of tensions and weight.
@@ -96,7 +96,7 @@ class ArmProblem:
         """
         strains = self._strains
         if strains is None:
-            strains = jnp.zeros((len(self.runs.names), CELLS, 4))
+            strains = jnp.zeros((len(self.runs.names), POINTS, 4))
             # The full load is repeated for the effects that depend on the latest strains.
             for share in (*np.arange(1, INCREMENTS) / INCREMENTS, 1.0, 1.0):
                 strains = self._found(theta, strains, share).strains

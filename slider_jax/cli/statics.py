@@ -14,8 +14,8 @@ def rod_statics(
 ) -> None:
     """Computes the shape of a rod at rest under loads, and whether this shape is stable.
 
-    A clamp holds one end of the rod. Forces, moments, weight, tendons and pressure chambers act on
-    the rod. DIR receives statics.json with the position and frame of the tip, the loads on the
+    A clamp or a hinge holds one end of the rod; a second support may hold the other end. Forces,
+    moments, weight, tendons and pressure chambers act on the rod. DIR receives statics.json with the position and frame of the tip, the loads on the
     clamp and the stability; shape.csv with the shape; and shape.png with a picture.
 
     Args:
@@ -31,8 +31,8 @@ def rod_statics(
     case = load_case(input)
     refuse_own_folder(out, input.parent)
     with staged(out) as stage:
-        found = solve_equilibrium(case.rod, case.loads)
-        eigenvalue = smallest_eigenvalue(found.strains, case.rod, case.loads)
+        found = solve_equilibrium(case.rod, case.loads, case.end)
+        eigenvalue = smallest_eigenvalue(found, case.rod, case.loads, case.end)
         write_statics(case, found, eigenvalue, stage)
     tip = ", ".join(f"{x:.6g}" for x in found.shape.position[-1].tolist())
     moment = ", ".join(f"{x:.6g}" for x in found.moment.tolist())

@@ -1,13 +1,9 @@
 """The equilibrium of a rod under static loads, and its stability.
 
-The unknowns are the strains q of the cells: three curvatures and, if EA is given, the axial strain.
-The principle of virtual work gives one equation for each unknown:
-
-    d(elastic energy + potential of weight and tendons)/dq = F . d(tip)/dq + M . d(turn of tip)/dq
-
-F and M are the force and the moment on the tip. The elastic energy of a cell of length ds is
-ds/2 sum (stiffness (q - q_0)^2). The discretisation is of second order in ds. Newton's method with
-a dense Jacobian solves the equations at growing shares of the loads.
+Newton's method solves the equations of `virtual_work` at growing shares of the loads. The far end
+of a rod may be held; the force and the moment of its support are then further unknowns, and the
+place of the end gives the further equations. The shape is of fourth order in the length of the
+cells if the properties vary smoothly.
 """
 
 from dataclasses import replace
@@ -17,71 +13,179 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Bool, Float
+from scipy.linalg import eigvals, null_space
 
 from slider_jax.errors import SolverError
-from slider_jax.rod.loads import RodLoads
+from slider_jax.rod.ends import HeldEnd
+from slider_jax.rod.loads import RodLoads, weighted_place
 from slider_jax.rod.rod import Rod, RodShape, rod_shape
-from slider_jax.rod.rotations import cross_matrix
+from slider_jax.rod.rotations import rotation
+from slider_jax.rod.virtual_work import rod_equations, unloaded_tip
 
-TOLERANCE = 1e-10
-"""Largest relative error of the strains at which Newton's method stops."""
+TOLERANCE = 1e-11
+"""Largest relative error of the strains and of the end's place at which Newton's method stops."""
 MOST_ITERATIONS = 30
 """Most Newton iterations at one share of the loads."""
-SHARES = (4, 16, 64, 256)
-"""Numbers of equal load increments that `solve_equilibrium` tries one after the other."""
+LARGEST_STEP, SMALLEST_STEP = 0.25, 1e-3
+"""Largest step of the share of the loads, and smallest step divided by the largest one."""
+LARGEST_TURN = 0.125
+"""Most turns of a held end in a step."""
 
 
 class RodEquilibrium(NamedTuple):
     """An equilibrium of a rod."""
 
-    strains: Float[Array, "cells q"]
+    strains: Float[Array, "points q"]
     shape: RodShape
     force: Float[Array, "3"]
-    """Force [N] that the loads exert on the clamp, in space."""
+    """Force [N] that the rod exerts on the support of the near end, in space."""
     moment: Float[Array, "3"]
-    """Moment [N m] that the loads exert on the clamp, in space."""
+    """Moment [N m] that the rod exerts on the support of the near end, in space."""
     residual: Float[Array, ""]
-    """Largest error of a strain, divided by the largest strain or by 1/length."""
+    """Largest error of a strain, divided by the largest strain or by 1/length; or error of the far
+    end's turn, or of its place divided by the length."""
     ok: Bool[Array, ""]
     """Whether Newton's method converged."""
+    end_force: Float[Array, "3"]
+    """Force [N] that the support of the far end exerts on the rod; zero without a support."""
+    end_moment: Float[Array, "3"]
+    """Moment [N m] that the support of the far end exerts on the rod."""
 
 
-def virtual_work(
-    strains: Float[Array, "cells q"], rod: Rod, loads: RodLoads
-) -> Float[Array, "cells q"]:
-    """Returns the residual of the equations as an error of each strain."""
+class _State(NamedTuple):
+    """The unknowns."""
 
-    def energy_and_tip(q):
-        shape = rod_shape(rod, q)
-        elastic = 0.5 * jnp.sum(rod.elasticity * (q - rod.unloaded) ** 2 * rod.ds[:, None])
-        energy = elastic + loads.potential(rod, q, shape)
-        return energy, shape.position[-1], shape.frame[-1]
-
-    (energy, _, frame), work_of = jax.vjp(energy_and_tip, strains)
-    force, moment = loads.on_tip(frame, _unloaded_tip(rod, loads))
-    # M . (small turn) = <cross_matrix(M), d(frame) frame^T>/2.
-    turning = 0.5 * cross_matrix(moment) @ frame
-    (work,) = work_of((jnp.ones_like(energy), -force, -turning))
-    return work / (rod.elasticity * rod.ds[:, None])
+    strains: Float[Array, "points q"]
+    near: Float[Array, "3 3"]
+    """Frame at the near end; it turns only in a hinge."""
+    pull: Float[Array, " k"]
+    """Force [N] and moment [N m] of the far support along the held axes."""
 
 
-def _unloaded_tip(rod: Rod, loads: RodLoads) -> Float[Array, "3 3"]:
-    """Returns the frame of the tip of the unloaded rod; it matters for follower loads only."""
-    return rod_shape(rod, rod.unloaded).frame[-1] if loads.follower else rod.clamp
+class _System(NamedTuple):
+    """The equations at a state, and their derivatives with respect to strains and near turns."""
+
+    error: Float[Array, " unknowns"]
+    stiffness: Float[Array, "unknowns unknowns"]
+    held: Float[Array, "k unknowns"]
+    """Motions along the held axes of the far end per change of each unknown."""
+    away: Float[Array, " k"]
+    """Errors of the far end along the held axes."""
 
 
-def _share_of(loads: RodLoads, rod: Rod, share) -> tuple[RodLoads, Rod]:
-    """Returns loads and rod with a share of force, moment, tensions and weight."""
+def _share_of(
+    loads: RodLoads, rod: Rod, end: HeldEnd | None, share
+) -> tuple[RodLoads, Rod, HeldEnd | None]:
+    """Returns loads, rod and supports with a share of the loads and of the end's way."""
     tendons = tuple(replace(x, tension=share * x.tension) for x in loads.tendons)
     part = replace(loads, force=share * loads.force, moment=share * loads.moment, tendons=tendons)
-    return part, replace(rod, weight=share * rod.weight)
+    rod = replace(rod, weight=share * rod.weight)
+    if end is None:
+        return part, rod, None
+    end = end.at(share)
+    return part, replace(rod, initial_curvature=rod.initial_curvature + end.bow), end
+
+
+def _system(x: _State, loads: RodLoads, rod: Rod, end: HeldEnd | None) -> _System:
+    """Returns the equations of a rod with its supports."""
+    if end is None:
+        work = rod_equations(x.strains, rod, loads)
+        none = jnp.zeros((0, x.strains.size))
+        return _System(work.residual, work.stiffness, none, x.pull)
+    force, moment = end.pull(x.pull)
+    loads = replace(loads, force=loads.force + force, moment=loads.moment + moment)
+    work = rod_equations(x.strains, replace(rod, clamp=x.near), loads)
+    axes, tip = end.near_axes, work.shape.position[-1]
+    spin = jnp.concatenate([work.spin, axes.T])
+    moved = jnp.concatenate([work.tip, jnp.cross(axes.T, tip)])
+    return _System(
+        jnp.concatenate([work.residual, -axes.T @ work.moment]),
+        jnp.block(
+            [
+                [work.stiffness, work.turned @ axes],
+                [axes.T @ work.turning, axes.T @ work.turned_moment @ axes],
+            ]
+        ),
+        jnp.concatenate([end.held @ moved.T, end.turning_held @ spin.T]),
+        end.error(work.shape),
+    )
+
+
+def _step(x: _State, system: _System, end: HeldEnd | None, matrix: _System) -> _State:
+    """Returns the state after a Newton step with the derivatives of `matrix`."""
+    held, stiffness = matrix.held, matrix.stiffness
+    zero = jnp.zeros((len(held), len(held)))
+    scale = jnp.max(jnp.abs(jnp.diag(stiffness)))
+    whole = jnp.block([[stiffness, -scale * held.T], [-scale * held, zero]])
+    errors = jnp.concatenate([system.error, -scale * system.away])
+    change = -jnp.linalg.solve(whole, errors)
+    size, unknowns = x.strains.size, len(system.error)
+    near = x.near
+    if end is not None:
+        near = rotation(end.near_axes @ change[size:unknowns]) @ near
+    return _State(
+        x.strains + change[:size].reshape(x.strains.shape), near, x.pull + scale * change[unknowns:]
+    )
+
+
+@eqx.filter_jit
+def _solve(
+    guess: _State, rod: Rod, loads: RodLoads, end: HeldEnd | None, share
+) -> tuple[_State, Bool[Array, ""]]:
+    """Returns the equilibrium at a share of the loads, and whether Newton's method converged."""
+    part = _share_of(loads, rod, end, share)
+
+    def improve(state):
+        x, _, count = state
+        system = _system(x, *part)
+        error = _error(x, system, rod, end)
+        after = _step(x, system, part[2], system)
+        # A step beyond the tolerance would only add rounding errors to a soft rod.
+        return (
+            jax.tree.map(lambda a, b: jnp.where(error > TOLERANCE, a, b), after, x),
+            error,
+            count + 1,
+        )
+
+    def unfinished(state):
+        _, error, count = state
+        return (error > TOLERANCE) & (count < MOST_ITERATIONS) & (error < jnp.inf)
+
+    x, error, _ = jax.lax.while_loop(unfinished, improve, (guess, 1.0, 0))
+    return x, error <= TOLERANCE
+
+
+@eqx.filter_jit
+def _found(
+    x: _State, rod: Rod, loads: RodLoads, end: HeldEnd | None, ok: Bool[Array, ""]
+) -> RodEquilibrium:
+    """Returns the equilibrium of a state, with the derivatives of one more Newton step."""
+    part = _share_of(loads, rod, end, 1.0)
+    system = _system(x, *part)
+    error = _error(x, system, rod, end)
+    step = _step(x, system, part[2], jax.lax.stop_gradient(system))
+    x = jax.tree.map(lambda a, b: a + (b - jax.lax.stop_gradient(b)), x, step)
+    pull = (jnp.zeros(3), jnp.zeros(3)) if end is None else end.pull(x.pull)
+    rod = replace(rod, clamp=x.near)
+    shape = rod_shape(rod, x.strains)
+    force, moment = loads.on_tip(shape.frame[-1], unloaded_tip(rod, loads))
+    force, arm = force + pull[0], shape.position[-1]
+    moment = moment + pull[1] + jnp.cross(arm, force)
+    return RodEquilibrium(
+        x.strains,
+        shape,
+        force + jnp.sum(rod.weight * rod.ds) * loads.down,
+        moment + jnp.cross(weighted_place(rod, x.strains, shape), loads.down),
+        error,
+        ok & jnp.all(jnp.isfinite(x.strains)),
+        *pull,
+    )
 
 
 @eqx.filter_jit
 def equilibrium(
-    rod: Rod, loads: RodLoads, increments: int, start: Float[Array, "cells q"] | None = None
+    rod: Rod, loads: RodLoads, increments: int, start: Float[Array, "points q"] | None = None
 ) -> RodEquilibrium:
     """Returns the equilibrium that is reached if the loads grow in `increments` equal steps.
 
@@ -89,72 +193,90 @@ def equilibrium(
     The result is differentiable with respect to rod and loads (implicit
     function theorem), and may be batched with `jax.vmap`.
     """
-    solver: optx.Newton = optx.Newton(rtol=TOLERANCE, atol=TOLERANCE)
-
-    def solve(guess, share):
-        part, weighted = _share_of(loads, rod, share)
-        found = optx.root_find(
-            lambda q, args: virtual_work(q, *args),
-            solver,
-            jax.lax.stop_gradient(guess),
-            args=(weighted, part),
-            max_steps=MOST_ITERATIONS,
-            throw=False,
-        )
-        return found.value, found.result == optx.RESULTS.successful
-
+    given = jax.lax.stop_gradient((rod, loads))
+    begin = given[0].unloaded if start is None else jax.lax.stop_gradient(start)
     shares = jnp.arange(1, increments + 1) / increments
-    begin = rod.unloaded if start is None else start
-    strains, converged = jax.lax.scan(solve, begin, shares)
-    shape = rod_shape(rod, strains)
-    force, moment = loads.on_tip(shape.frame[-1], _unloaded_tip(rod, loads))
-    middle = 0.5 * (shape.position[1:] + shape.position[:-1])
-    weights = (rod.weight * rod.ds)[:, None] * loads.down
-    size = jnp.maximum(jnp.max(jnp.abs(strains)), 1.0 / jnp.sum(rod.ds))
-    error = jnp.max(jnp.abs(virtual_work(strains, rod, loads))) / size
-    return RodEquilibrium(
-        strains,
-        shape,
-        force + jnp.sum(weights, axis=0),
-        moment + jnp.cross(shape.position[-1], force) + jnp.sum(jnp.cross(middle, weights), axis=0),
-        error,
-        jnp.all(converged) & jnp.all(jnp.isfinite(strains)),
+    x, ok = jax.lax.scan(
+        lambda x, share: _solve(x, *given, None, share),
+        _State(begin, given[0].clamp, jnp.zeros(0)),
+        shares,
     )
+    return _found(x, rod, loads, None, jnp.all(ok))
 
 
-def solve_equilibrium(rod: Rod, loads: RodLoads) -> RodEquilibrium:
-    """Returns the equilibrium, with as few load increments as converge.
+def _error(x: _State, system: _System, rod: Rod, end: HeldEnd | None) -> Float[Array, ""]:
+    """Returns the largest relative error of a strain, or of the place of the far end."""
+    weights = (rod.elasticity * rod.ds[:, None]).ravel()
+    length = jnp.sum(rod.ds)
+    size = jnp.maximum(jnp.max(jnp.abs(x.strains)), 1.0 / length)
+    strain = jnp.max(jnp.abs(system.error[: weights.size] / weights)) / size
+    if end is None:
+        return strain
+    moved, turned = jnp.split(jnp.abs(system.away), [len(end.held)])
+    away = jnp.max(moved, initial=0.0) / length
+    return jnp.max(jnp.stack([strain, away, jnp.max(turned, initial=0.0)]))
 
-    Raises `SolverError` if Newton's method does not converge even with the most increments.
+
+def solve_equilibrium(rod: Rod, loads: RodLoads, end: HeldEnd | None = None) -> RodEquilibrium:
+    """Returns the equilibrium that is reached if the loads grow, and the held end moves.
+
+    A step is halved if Newton's method does not converge, or if the shape changes too much.
+    Raises `SolverError` if the steps become too small.
     """
-    for increments in SHARES:
-        found = equilibrium(rod, loads, increments)
+    begin, largest, pull = rod.unloaded, LARGEST_STEP, jnp.zeros(0)
+    if end is not None:
+        begin = begin.at[:, :3].add(end.bow)
+        largest = min(largest, LARGEST_TURN / max(abs(float(end.turns)), 1e-9))
+        pull = jnp.zeros(len(end.held) + len(end.turning_held))
+    x = before = _State(begin, rod.clamp, pull)
+    share, step, last = 0.0, largest, jnp.inf
+    while share < 1.0:
+        step = min(step, 1.0 - share)
+        ahead = jax.tree.map(lambda a, b, f=step / last: a + f * (a - b), x, before)
+        after, ok = _solve(ahead._replace(near=x.near), rod, loads, end, jnp.asarray(share + step))
+        if end is not None:
+            change = jnp.max(jnp.abs(after.strains - x.strains))
+            ok = ok & (change < jnp.maximum(jnp.max(jnp.abs(x.strains)), 1.0 / jnp.sum(rod.ds)))
+        if ok:
+            x, before, last = after, x, step
+            share = share + step if share + step < 1.0 - 1e-12 else 1.0
+            step = min(2.0 * step, largest)
+        else:
+            step = 0.5 * step
+            if step < SMALLEST_STEP * largest:
+                break
+    if share == 1.0:
+        found = _found(x, rod, loads, end, jnp.array(True))
         if found.ok:
             return found
+    if end is None:
+        remedy = "reduce the loads"
+    else:
+        remedy = "reduce the loads, or move or turn the held end less"
     raise SolverError(
-        f"the equilibrium of the rod was not found with {SHARES[-1]} load increments; the rod may "
-        "jump to another shape at a smaller load: reduce the loads"
+        f"the equilibrium of the rod was not found beyond {100.0 * share:.3g} % of the loads; the "
+        f"rod may jump to another shape there: {remedy}"
     )
 
 
-def stiffness_matrix(
-    strains: Float[Array, "cells q"], rod: Rod, loads: RodLoads
-) -> Float[Array, "m m"]:
-    """Returns the derivative of `virtual_work` with respect to the strains, as a matrix.
-
-    The matrix is divided by the stiffness of the unloaded rod: without loads, it is the unit
-    matrix. Row and column i * q + j belong to strain j of cell i.
-    """
-    size = strains.size
-    tangent = jax.jacfwd(virtual_work)(strains, rod, loads)
-    return tangent.reshape(size, size)
-
-
-def smallest_eigenvalue(strains: Float[Array, "cells q"], rod: Rod, loads: RodLoads) -> float:
+def smallest_eigenvalue(
+    found: RodEquilibrium, rod: Rod, loads: RodLoads, end: HeldEnd | None = None
+) -> float:
     """Returns the smallest real part of the eigenvalues of the stiffness matrix.
 
-    It is 1 without loads. The equilibrium is stable against small static
+    The matrix is divided by the stiffness of the unloaded rod, so the value is 1 without loads.
+    It acts on the motions that the supports allow. The equilibrium is stable against small static
     disturbances if the value is positive. The criterion does not find flutter under follower loads.
     """
-    matrix = np.asarray(eqx.filter_jit(stiffness_matrix)(strains, rod, loads))
-    return float(np.linalg.eigvals(matrix).real.min())
+    pull = jnp.zeros(0)
+    if end is not None:
+        pull = jnp.concatenate([end.held @ found.end_force, end.turning_held @ found.end_moment])
+    x = _State(found.strains, found.shape.frame[0], pull)
+    system = eqx.filter_jit(_system)(x, loads, rod, end)
+    matrix, weights = np.asarray(system.stiffness), np.zeros(len(system.error))
+    weights[: x.strains.size] = np.asarray(rod.elasticity * rod.ds[:, None]).ravel()
+    if end is None:
+        return float(eigvals(matrix / weights[:, None]).real.min())
+    free = null_space(np.asarray(system.held))
+    lower = np.linalg.inv(np.linalg.cholesky(free.T @ (weights[:, None] * free)))
+    return float(eigvals(lower @ (free.T @ matrix @ free) @ lower.T).real.min())

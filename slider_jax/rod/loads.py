@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from slider_jax.rod.rod import Rod, RodShape, stretch_of
+from slider_jax.rod.rod import GAUSS, Rod, RodShape, gauss_points, half_cells, stretch_of
 
 
 class RodTendon(eqx.Module):
@@ -15,17 +15,17 @@ class RodTendon(eqx.Module):
     area A at the chamber's distance d from the axis. Its moment per unit pressure is K_Q = A d.
     """
 
-    offset: Float[Array, "cells 2"]
-    """Position (n, b) [m] of the tendon in the section of each cell."""
-    offset_slope: Float[Array, "cells 2"]
+    offset: Float[Array, "points 2"]
+    """Position (n, b) [m] of the tendon in the section of each point."""
+    offset_slope: Float[Array, "points 2"]
     """Change of the position along the rod, d(n, b)/ds [-]."""
-    share: Float[Array, " cells"]
-    """Part of each cell along which the tendon runs, 0 to 1."""
+    share: Float[Array, " points"]
+    """Part of each half cell along which the tendon runs, 0 to 1."""
     tension: Float[Array, ""]
     """Tension [N]; negative if the tendon pushes."""
 
-    def length(self, rod: Rod, strains: Float[Array, "cells q"]) -> Float[Array, ""]:
-        """Returns the length [m] of the tendon along a rod with constant strains in each cell."""
+    def length(self, rod: Rod, strains: Float[Array, "points q"]) -> Float[Array, ""]:
+        """Returns the length [m] of the tendon along the rod; of fourth order in the cells."""
         n, b = self.offset.T
         twist, about_n, about_b = strains[:, :3].T
         along = jnp.stack(
@@ -39,14 +39,10 @@ class RodTendon(eqx.Module):
 
 
 def covered_share(span, edges: np.ndarray) -> np.ndarray:
-    """Returns the part of each cell that lies in the span, 0 to 1; `edges` [m] bound the cells."""
-    inside = np.minimum(edges[1:], span[1]) - np.maximum(edges[:-1], span[0])
-    return np.clip(inside, 0.0, None) / np.diff(edges)
-
-
-def covered_middle(span, edges: np.ndarray) -> np.ndarray:
-    """Returns the middle [m] of the part of each cell that lies in the span."""
-    return 0.5 * (np.clip(edges[1:], *span) + np.clip(edges[:-1], *span))
+    """Returns the part of each half cell that lies in the span; `edges` [m] bound the cells."""
+    halves = half_cells(edges)
+    inside = np.minimum(halves[1:], span[1]) - np.maximum(halves[:-1], span[0])
+    return np.clip(inside, 0.0, None) / np.diff(halves)
 
 
 def straight_tendon(span, start, end, tension, edges: np.ndarray) -> RodTendon:
@@ -56,13 +52,31 @@ def straight_tendon(span, start, end, tension, edges: np.ndarray) -> RodTendon:
     """
     start, end = np.array(start), np.array(end)
     slope = (end - start) / (span[1] - span[0])
-    ahead = covered_middle(span, edges) - span[0]
+    ahead = np.clip(gauss_points(edges), *span) - span[0]
     return RodTendon(
         offset=jnp.asarray(start + ahead[:, None] * slope),
         offset_slope=jnp.tile(jnp.asarray(slope), (len(ahead), 1)),
         share=jnp.asarray(covered_share(span, edges)),
         tension=jnp.asarray(tension),
     )
+
+
+def weighted_place(
+    rod: Rod, strains: Float[Array, "points q"], shape: RodShape
+) -> Float[Array, "3"]:
+    """Returns the integral of weight times position [N m]; of fourth order in the cells."""
+    near, far = rod.weight[::2], rod.weight[1::2]
+    length = 2.0 * rod.ds[::2]
+    stretch = stretch_of(strains).reshape(-1, 2)
+    # The stretch is linear in a cell: its values at both ends of the cell.
+    outwards = (0.5 / GAUSS - 0.5) * (stretch[:, 1] - stretch[:, 0])
+    slopes = shape.frame[:, :, 0]
+    bow = (stretch[:, 0] - outwards)[:, None] * slopes[:-1]
+    bow = bow - (stretch[:, 1] + outwards)[:, None] * slopes[1:]
+    begin, end = shape.position[:-1], shape.position[1:]
+    mean = 0.5 * (begin + end) + length[:, None] / 12.0 * bow
+    skew = (far - near) / (12.0 * GAUSS)
+    return ((0.5 * (near + far) * length) @ mean) + (skew * length) @ (end - begin)
 
 
 class RodLoads(eqx.Module):
@@ -87,11 +101,10 @@ class RodLoads(eqx.Module):
         return turn @ self.force, turn @ self.moment
 
     def potential(
-        self, rod: Rod, strains: Float[Array, "cells q"], shape: RodShape
+        self, rod: Rod, strains: Float[Array, "points q"], shape: RodShape
     ) -> Float[Array, ""]:
         """Returns the potential energy [J] of weight and tendons."""
-        middle = 0.5 * (shape.position[1:] + shape.position[:-1])
-        energy = -jnp.sum(rod.weight * rod.ds * (middle @ self.down))
+        energy = -weighted_place(rod, strains, shape) @ self.down
         for tendon in self.tendons:
             energy = energy + tendon.tension * tendon.length(rod, strains)
         return energy

@@ -17,6 +17,12 @@ def cross_matrix(v: Float[Array, "3"]) -> Float[Array, "3 3"]:
     return jnp.array([[zero, -v[2], v[1]], [v[2], zero, -v[0]], [-v[1], v[0], zero]])
 
 
+def axis_of(m: Float[Array, "... 3 3"]) -> Float[Array, "... 3"]:
+    """Returns v of the skew part of a matrix, which is cross_matrix(v)."""
+    skew = 0.5 * (m - jnp.swapaxes(m, -1, -2))
+    return jnp.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+
+
 def _coefficients(v: Float[Array, "3"]) -> tuple[Array, Array, Array]:
     """Returns sin(x)/x, (1 - cos(x))/x^2 and (x - sin(x))/x^3 at the angle x = |v|."""
     square = v @ v

@@ -9,12 +9,14 @@ import numpy as np
 from slider_jax.errors import InputError
 from slider_jax.io.csv import POSITION, read_profile
 from slider_jax.io.toml import quantity_in, read_toml, validate
-from slider_jax.rod.loads import RodLoads, RodTendon, covered_middle, covered_share, straight_tendon
-from slider_jax.rod.rod import Rod
+from slider_jax.rod.ends import HeldEnd, held_end
+from slider_jax.rod.loads import RodLoads, RodTendon, covered_share, straight_tendon
+from slider_jax.rod.rod import Rod, gauss_points, half_cells
 from slider_jax.statics.tables import (
     CURVATURE,
     CURVATURE_COLUMNS,
     PROFILE_COLUMNS,
+    EndTable,
     RodChamberTable,
     RodTable,
     StaticCaseTable,
@@ -22,11 +24,12 @@ from slider_jax.statics.tables import (
 
 
 class StaticCase(NamedTuple):
-    """A rod and its loads, with the file that describes them."""
+    """A rod, its loads and its supports, with the file that describes them."""
 
     table: StaticCaseTable
     rod: Rod
     loads: RodLoads
+    end: HeldEnd | None
     files: tuple[Path, ...]
 
 
@@ -38,9 +41,8 @@ def load_case(path: Path) -> StaticCase:
     columns = _profile(profile, x) if profile is not None else {}
     cells = table.numerics.nodes - 1
     edges = np.linspace(0.0, x.length, cells + 1)
-    ds = np.diff(edges)
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    given = {name: _along(name, x, columns, middle, path) for name in PROFILE_COLUMNS}
+    points = gauss_points(edges)
+    given = {name: _along(name, x, columns, points, path) for name in PROFILE_COLUMNS}
     gravity = np.array(load.gravity)
     size = float(np.linalg.norm(gravity))
     density, area = given["linear_density"], given["section_area"]
@@ -52,19 +54,18 @@ def load_case(path: Path) -> StaticCase:
         raise InputError(
             f"{path}: load.fluid_density: the buoyancy is not known; add rod.section_area"
         )
-    zero = np.zeros(cells)
+    zero = np.zeros(len(points))
     mass = (zero if density is None else density) - load.fluid_density * (
         zero if area is None else area
     )
     curvature = np.stack(
-        [zero if column is None else column for column in _curvature(x, columns, middle)]
+        [zero if column is None else column for column in _curvature(x, columns, points)]
     )
-    t, n = (np.array(v) / np.linalg.norm(v) for v in (x.clamp_tangent, x.clamp_normal))
     rod = Rod(
-        ds=jnp.asarray(ds),
+        ds=jnp.asarray(np.diff(half_cells(edges))),
         stiffness=jnp.stack([jnp.asarray(given[name]) for name in ("GJ", "EI_n", "EI_b")], axis=1),
         initial_curvature=jnp.asarray(curvature.T),
-        clamp=jnp.asarray(np.stack([t, n, np.cross(t, n)], axis=1)),
+        clamp=jnp.asarray(_frame(x.clamp_tangent, x.clamp_normal)),
         weight=jnp.asarray(size * mass),
         EA=None if given["EA"] is None else jnp.asarray(given["EA"]),
     )
@@ -81,11 +82,34 @@ def load_case(path: Path) -> StaticCase:
         tuple(lines),
         load.follower,
     )
-    return StaticCase(table, rod, loads, (path, profile) if profile is not None else (path,))
+    end = None if table.end is None else _support(table.end, x, rod, path)
+    return StaticCase(table, rod, loads, end, (path, profile) if profile is not None else (path,))
 
 
-def _along(name, x: RodTable, columns, middle, path: Path) -> np.ndarray | None:
-    """Returns a property in the cells, or None if it is not given."""
+def _frame(tangent, normal) -> np.ndarray:
+    """Returns the frame with the columns t, n and b; the vectors may have any length."""
+    t, n = (np.array(v) / np.linalg.norm(v) for v in (tangent, normal))
+    return np.stack([t, n, np.cross(t, n)], axis=1)
+
+
+def _support(end: EndTable, x: RodTable, rod: Rod, path: Path) -> HeldEnd:
+    """Returns the supports of both ends."""
+    place = np.array(end.position)
+    if rod.EA is None and np.linalg.norm(place - end.sliding @ place) >= x.length:
+        raise InputError(
+            f"{path}: end.position: given {list(end.position)}; allowed less than {x.length:g} m "
+            "from the start, because a rod without EA does not stretch; move the end, let it slide "
+            "with end.slides_along, or give EA"
+        )
+    frame = None
+    if end.kind == "clamped":
+        frame = _frame(end.tangent or x.clamp_tangent, end.normal or x.clamp_normal)
+    slides = None if end.slides_along is None else np.array(end.slides_along)
+    return held_end(rod, place, frame, end.turns or 0.0, slides, x.start == "hinged")
+
+
+def _along(name, x: RodTable, columns, points, path: Path) -> np.ndarray | None:
+    """Returns a property at the points, or None if it is not given."""
     column, own = PROFILE_COLUMNS[name], getattr(x, name)
     if column in columns and own is not None:
         raise InputError(
@@ -93,9 +117,9 @@ def _along(name, x: RodTable, columns, middle, path: Path) -> np.ndarray | None:
             "remove one of them"
         )
     if column in columns:
-        return np.interp(middle, columns[POSITION], columns[column])
+        return np.interp(points, columns[POSITION], columns[column])
     if own is not None:
-        return np.full(len(middle), own)
+        return np.full(len(points), own)
     if name in ("EI_n", "EI_b", "GJ"):
         raise InputError(
             f"{path.parent / str(x.profile)}: no column {column}; add this column, or give {name} "
@@ -104,14 +128,14 @@ def _along(name, x: RodTable, columns, middle, path: Path) -> np.ndarray | None:
     return None
 
 
-def _curvature(x: RodTable, columns, middle) -> list[np.ndarray | None]:
-    """Returns the three components of the initial curvature in the cells; None for zero."""
+def _curvature(x: RodTable, columns, points) -> list[np.ndarray | None]:
+    """Returns the three components of the initial curvature at the points; None for zero."""
     found: list[np.ndarray | None] = []
     for i, column in enumerate(CURVATURE_COLUMNS):
         if column in columns:
-            found.append(np.interp(middle, columns[POSITION], columns[column]))
+            found.append(np.interp(points, columns[POSITION], columns[column]))
         elif x.initial_curvature is not None:
-            found.append(np.full(len(middle), x.initial_curvature[i]))
+            found.append(np.full(len(points), x.initial_curvature[i]))
         else:
             found.append(None)
     return found
@@ -130,7 +154,7 @@ def _profile(path: Path, x: RodTable) -> dict[str, np.ndarray]:
 def _chamber(x: RodChamberTable, edges) -> RodTendon:
     """Returns the tendon that pushes with the force of the chamber's pressure."""
     rate = (x.angles[1] - x.angles[0]) / (x.span[1] - x.span[0])
-    angle = x.angles[0] + rate * (covered_middle(x.span, edges) - x.span[0])
+    angle = x.angles[0] + rate * (np.clip(gauss_points(edges), *x.span) - x.span[0])
     place = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     ahead = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     return RodTendon(

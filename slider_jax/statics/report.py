@@ -19,6 +19,8 @@ def result_of(found: RodEquilibrium, eigenvalue: float) -> dict[str, Any]:
         "tip_frame": np.asarray(found.shape.frame[-1]).T.tolist(),
         "clamp_force_N": np.asarray(found.force).tolist(),
         "clamp_moment_N_m": np.asarray(found.moment).tolist(),
+        "end_force_N": np.asarray(found.end_force).tolist(),
+        "end_moment_N_m": np.asarray(found.end_moment).tolist(),
         "residual": float(found.residual),
         "stable": eigenvalue > 0.0,
         "smallest_eigenvalue": eigenvalue,
@@ -30,7 +32,7 @@ def write_statics(case: StaticCase, found: RodEquilibrium, eigenvalue: float, fo
     settings = case.table.model_dump(mode="json")
     files = {"input": input_files(*case.files), "settings": settings} | provenance()
     write_json(folder / "statics.json", result_of(found, eigenvalue) | files)
-    s = np.concatenate([[0.0], np.cumsum(np.asarray(case.rod.ds))])
+    s = np.concatenate([[0.0], np.cumsum(np.asarray(case.rod.ds))[1::2]])
     position = np.asarray(found.shape.position)
     columns = dict(zip(("s_m", "x_m", "y_m", "z_m"), (s, *position.T), strict=True))
     write_csv(folder / "shape.csv", columns, {})

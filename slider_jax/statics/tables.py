@@ -1,6 +1,6 @@
 """The tables of the file that describes a rod and its static loads."""
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -30,6 +30,8 @@ Pressure = Annotated[float, Quantity(-1e7, 1e7, "Pa")]
 MomentPerPressure = Annotated[float, Quantity(1e-12, 1e-2, "m^3")]
 Angle = Annotated[float, Quantity(-1000.0, 1000.0, "rad")]
 Angles = Annotated[tuple[Angle, Angle], FROM_LIST]
+Turns = Annotated[float, Quantity(-1000.0, 1000.0)]
+Support = Literal["clamped", "hinged"]
 Nodes = Annotated[int, Field(strict=True, ge=3, le=401)]
 
 PARALLEL = 1e-6
@@ -62,21 +64,59 @@ class RodTable(Table):
     profile: FileName | None = None
     clamp_tangent: Vector = (1.0, 0.0, 0.0)
     clamp_normal: Vector = (0.0, 1.0, 0.0)
+    start: Support = "clamped"
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
         for name in ("EI_n", "EI_b", "GJ"):
             if getattr(self, name) is None and self.profile is None:
                 fail(name, "nothing", "a number in N m^2, or a column of a profile")
-        for name in ("clamp_tangent", "clamp_normal"):
-            if not any(getattr(self, name)):
-                fail(name, list(getattr(self, name)), "a vector that is not zero")
-        t, n = np.array(self.clamp_tangent), np.array(self.clamp_normal)
-        if abs(t @ n) > PARALLEL * np.linalg.norm(t) * np.linalg.norm(n):
-            fail(
-                "clamp_normal", list(self.clamp_normal), "a vector at a right angle to the tangent"
-            )
+        _axes(self, "clamp_tangent", "clamp_normal")
         return self
+
+
+def _axes(table: Table, tangent: str, normal: str) -> None:
+    """Refuses axes of a section that are zero or not at a right angle."""
+    for name in (tangent, normal):
+        if not any(getattr(table, name)):
+            fail(name, list(getattr(table, name)), "a vector that is not zero")
+    t, n = np.array(getattr(table, tangent)), np.array(getattr(table, normal))
+    if abs(t @ n) > PARALLEL * np.linalg.norm(t) * np.linalg.norm(n):
+        fail(normal, n.tolist(), "a vector at a right angle to the tangent")
+
+
+class EndTable(Table):
+    """Table [end]: a support that holds the far end of the rod."""
+
+    kind: Support
+    position: Vector
+    slides_along: Vector | None = None
+    tangent: Vector | None = None
+    normal: Vector | None = None
+    turns: Turns | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        for name in ("tangent", "normal", "turns"):
+            given = getattr(self, name)
+            if self.kind == "hinged" and given is not None:
+                fail(name, given, 'no value with kind = "hinged", which lets the end turn')
+        if self.slides_along is not None and not any(self.slides_along):
+            fail("slides_along", list(self.slides_along), "a vector that is not zero")
+        if (self.tangent is None) != (self.normal is None):
+            name, other = ("normal", "tangent") if self.normal is None else ("tangent", "normal")
+            fail(name, "nothing", f"a vector, because {other} is given")
+        if self.tangent is not None:
+            _axes(self, "tangent", "normal")
+        return self
+
+    @property
+    def sliding(self) -> np.ndarray:
+        """The matrix that keeps the part of a vector along which the end can slide."""
+        if self.slides_along is None:
+            return np.zeros((3, 3))
+        along = np.array(self.slides_along) / np.linalg.norm(self.slides_along)
+        return np.outer(along, along)
 
 
 class LoadTable(Table):
@@ -130,6 +170,7 @@ class StaticCaseTable(Table):
     name: str = "rod"
     rod: RodTable
     load: LoadTable = LoadTable()
+    end: EndTable | None = None
     tendons: Annotated[tuple[RodTendonTable, ...], FROM_LIST] = ()
     chambers: Annotated[tuple[RodChamberTable, ...], FROM_LIST] = ()
     numerics: RodNumericsTable = RodNumericsTable()
@@ -140,4 +181,22 @@ class StaticCaseTable(Table):
             for i, x in enumerate(getattr(self, name)):
                 if x.span[1] > self.rod.length * (1.0 + 1e-9):
                     fail(f"{name}.{i}.span", list(x.span), f"0 to {self.rod.length:g} m, the rod")
+        return self
+
+    @model_validator(mode="after")
+    def _held(self) -> Self:
+        end, load = self.end, self.load
+        if end is None:
+            if self.rod.start == "hinged":
+                fail("rod.start", "hinged", "clamped, or hinged with a table [end]")
+            return self
+        if load.follower:
+            fail("load.follower", True, "false with a table [end]")
+        if end.kind == "clamped" and any(load.moment):
+            fail("load.moment", list(load.moment), "zero, because the end is clamped")
+        force = np.array(load.force)
+        across = np.linalg.norm(force - end.sliding @ force)
+        if across > PARALLEL * np.linalg.norm(force):
+            allowed = "zero" if end.slides_along is None else "a force along end.slides_along"
+            fail("load.force", list(load.force), f"{allowed}, because the support holds the end")
         return self

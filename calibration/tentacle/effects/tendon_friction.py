@@ -20,10 +20,11 @@ class CapstanFriction(AbstractArmEffect):
     )
 
     def on(self, parts: ArmParts) -> ArmParts:
-        bends = parts.strains[:, 1:3] * parts.rod.ds[:, None]
+        s, ds = parts.rod.s, parts.rod.ds
         # The small term keeps the derivative of the square root finite.
-        angle = jnp.sqrt(jnp.sum(bends**2, axis=1) + 1e-16)
-        loss = jnp.exp(-self.mu * (jnp.cumsum(angle) - 0.5 * angle))
+        bending = jnp.sqrt(jnp.sum(parts.strains[:, 1:3] ** 2, axis=1) + 1e-16)
+        ahead = jnp.cumsum(ds) - s
+        loss = jnp.exp(-self.mu * (jnp.cumsum(bending * ds) - bending * ahead))
         return replace(
             parts, tendons=tuple(replace(x, share=x.share * loss) for x in parts.tendons)
         )

@@ -11,7 +11,15 @@ import pytest
 from calibration.discrepancy.scores import score
 from calibration.discrepancy.verdict import CLASS, IDENTIFIED, NOTHING
 from calibration.inference.problem import normal_equations, summed
-from calibration.tentacle.arm import CELLS, LENGTH, ArmParameters, ArmShape, arm_parts, arm_tendons
+from calibration.tentacle.arm import (
+    LENGTH,
+    MARKER_NODES,
+    POINTS,
+    ArmParameters,
+    ArmShape,
+    arm_parts,
+    arm_tendons,
+)
 from calibration.tentacle.candidates import ARM_EFFECTS, candidates_of, effect_values, with_effects
 from calibration.tentacle.close_loop import (
     close_arm_loop,
@@ -53,9 +61,8 @@ def light_arms(base, values, tensions, strains, share):
         stiffness = rod.elasticity.at[:, 1:3].add(hanging[:, None])
         found = rod.unloaded + load / stiffness
         shape = rod_shape(rod, found)
-        places = jnp.array([9, 15, 19, CELLS])
-        frames = shape.frame[places]
-        markers = shape.position[places] + jnp.einsum("kij,kj->ki", frames, parts.offsets)
+        frames = shape.frame[MARKER_NODES]
+        markers = shape.position[MARKER_NODES] + jnp.einsum("kij,kj->ki", frames, parts.offsets)
         return ArmShape(markers + parts.base, found, jnp.array(True))
 
     return jax.vmap(one)(values, tensions, strains)
@@ -153,7 +160,7 @@ def test_the_floor_is_the_error_that_each_session_has_alone():
 
 
 def test_effects_at_their_nulls_change_nothing_and_each_parameter_changes_something():
-    strains = jnp.zeros((CELLS, 4)).at[:, 1].set(3.0)
+    strains = jnp.zeros((POINTS, 4)).at[:, 1].set(3.0)
     parts = arm_parts(ArmParameters(), jnp.array([2.0, 1.0]), strains)
     nulls = np.concatenate([[f.metadata["prior"].null for f in fields(x)] for x in ARM_EFFECTS])
     changed_by = eqx.filter_jit(with_effects)
@@ -178,7 +185,7 @@ def test_effects_of_a_session_act_in_its_runs_only():
 
 def test_offset_friction_and_place_of_the_tendons():
     """A tendon without tension stays slack; the tension falls by exp(-mu angle); 1 mm is 1 mm."""
-    strains = jnp.zeros((CELLS, 4)).at[:, 2].set(4.0)
+    strains = jnp.zeros((POINTS, 4)).at[:, 2].set(4.0)
     parts = arm_parts(ArmParameters(), jnp.array([2.0, 0.0]), strains)
     tensions = [float(x.tension) for x in TensionOffset(both=0.3, tendon_1=0.1).on(parts).tendons]
     np.testing.assert_allclose(tensions, [1.6, 0.0])
@@ -189,7 +196,7 @@ def test_offset_friction_and_place_of_the_tendons():
         (n, b), (n2, b2) = np.asarray(before.offset)[:20].T, np.asarray(after.offset)[:20].T
         np.testing.assert_allclose(np.hypot(n2, b2) - np.hypot(n, b), 1e-3)
         np.testing.assert_allclose(np.arctan2(b2, n2) - np.arctan2(b, n), 0.1)
-        along = np.diff(np.asarray(after.offset)[:20], axis=0) / (LENGTH / CELLS)
+        along = np.diff(np.asarray(after.offset)[:20], axis=0) / np.diff(parts.rod.s[:20])[:, None]
         np.testing.assert_allclose(along, np.asarray(after.offset_slope)[:19], rtol=1e-9)
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibration.tentacle.arm import CELLS, LENGTH, ArmParameters, arm_tendons, arm_under, rod_of
+from calibration.tentacle.arm import ArmParameters, arm_tendons, arm_under, rod_of
 from calibration.tentacle.fit import distances, prediction_record_of_arm
 from calibration.tentacle.runs import MARKERS, ArmRuns, read_arm_runs
 from slider_jax.errors import InputError
@@ -38,7 +38,7 @@ def test_the_weight_is_that_of_the_two_cones():
 def test_tendons_run_in_the_wall_to_their_end():
     rod = rod_of(STATED)
     for side, tendon in zip((1.0, -1.0), arm_tendons(jnp.ones(2)), strict=True):
-        np.testing.assert_allclose(jnp.sum(tendon.share) * LENGTH / CELLS, 0.305)
+        np.testing.assert_allclose(tendon.share @ rod.ds, 0.305)
         assert np.all(side * np.asarray(tendon.offset)[:5, 0] > 0.0)
         ahead = np.hypot(1.0, 0.0295) * 0.305
         np.testing.assert_allclose(tendon.length(rod, rod.unloaded), ahead, rtol=1e-9)
