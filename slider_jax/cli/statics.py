@@ -15,8 +15,9 @@ def rod_statics(
     """Computes the shape of a rod at rest under loads, and whether this shape is stable.
 
     A clamp or a hinge holds one end of the rod; a second support may hold the other end. Forces,
-    moments, weight, tendons and pressure chambers act on the rod. DIR receives statics.json with the position and frame of the tip, the loads on the
-    clamp and the stability; shape.csv with the shape; and shape.png with a picture.
+    moments, weight, tendons and pressure chambers act on the rod. DIR receives statics.json with
+    the position and frame of the tip, the loads on the supports and the stability; shape.csv with
+    the shape; and shape.png with a picture.
 
     Args:
         input: file that describes the rod and its loads.
@@ -24,7 +25,7 @@ def rod_statics(
     """
     from slider_jax.cli.options import refuse_own_folder
     from slider_jax.io.files import staged
-    from slider_jax.rod.equilibrium import smallest_eigenvalue, solve_equilibrium
+    from slider_jax.rod.equilibrium import NEUTRAL, smallest_eigenvalue, solve_equilibrium
     from slider_jax.statics.case import load_case
     from slider_jax.statics.report import write_statics
 
@@ -36,7 +37,8 @@ def rod_statics(
         write_statics(case, found, eigenvalue, stage)
     tip = ", ".join(f"{x:.6g}" for x in found.shape.position[-1].tolist())
     moment = ", ".join(f"{x:.6g}" for x in found.moment.tolist())
-    print(f"tip at ({tip}) m; moment on the clamp ({moment}) N m")
-    state = "stable" if eigenvalue > 0.0 else "unstable"
+    print(f"tip at ({tip}) m; moment on the support ({moment}) N m")
+    state = "stable" if eigenvalue > NEUTRAL else "unstable"
+    state = "neutral" if abs(eigenvalue) <= NEUTRAL else state
     print(f"{state}: smallest eigenvalue {eigenvalue:.4g} (1 without loads)")
     print(f"statics.json, shape.csv and shape.png are in {out}", file=sys.stderr)

@@ -31,6 +31,8 @@ LARGEST_STEP, SMALLEST_STEP = 0.25, 1e-3
 """Largest step of the share of the loads, and smallest step divided by the largest one."""
 LARGEST_TURN = 0.125
 """Most turns of a held end in a step."""
+NEUTRAL = 1e-9
+"""Size of an eigenvalue below which the equilibrium is neutral."""
 
 
 class RodEquilibrium(NamedTuple):
@@ -112,6 +114,9 @@ def _system(x: _State, loads: RodLoads, rod: Rod, end: HeldEnd | None) -> _Syste
     )
 
 
+_compiled_system = eqx.filter_jit(_system)
+
+
 def _step(x: _State, system: _System, end: HeldEnd | None, matrix: _System) -> _State:
     """Returns the state after a Newton step with the derivatives of `matrix`."""
     held, stiffness = matrix.held, matrix.stiffness
@@ -152,7 +157,7 @@ def _solve(
         _, error, count = state
         return (error > TOLERANCE) & (count < MOST_ITERATIONS) & (error < jnp.inf)
 
-    x, error, _ = jax.lax.while_loop(unfinished, improve, (guess, 1.0, 0))
+    x, error, _ = jax.lax.while_loop(unfinished, improve, (guess, jnp.ones(()), 0))
     return x, error <= TOLERANCE
 
 
@@ -266,13 +271,15 @@ def smallest_eigenvalue(
 
     The matrix is divided by the stiffness of the unloaded rod, so the value is 1 without loads.
     It acts on the motions that the supports allow. The equilibrium is stable against small static
-    disturbances if the value is positive. The criterion does not find flutter under follower loads.
+    disturbances if the value is positive. It is neutral if the value is zero, to `NEUTRAL`: the
+    rod then moves without force, like an isotropic rod between two clamps in line. The criterion
+    does not find flutter under follower loads.
     """
     pull = jnp.zeros(0)
     if end is not None:
         pull = jnp.concatenate([end.held @ found.end_force, end.turning_held @ found.end_moment])
     x = _State(found.strains, found.shape.frame[0], pull)
-    system = eqx.filter_jit(_system)(x, loads, rod, end)
+    system = _compiled_system(x, loads, rod, end)
     matrix, weights = np.asarray(system.stiffness), np.zeros(len(system.error))
     weights[: x.strains.size] = np.asarray(rod.elasticity * rod.ds[:, None]).ravel()
     if end is None:

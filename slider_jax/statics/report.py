@@ -7,7 +7,7 @@ import numpy as np
 
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import input_files, provenance, write_csv, write_json
-from slider_jax.rod.equilibrium import RodEquilibrium
+from slider_jax.rod.equilibrium import NEUTRAL, RodEquilibrium
 from slider_jax.rod.rod import rod_shape
 from slider_jax.statics.case import StaticCase
 
@@ -22,7 +22,7 @@ def result_of(found: RodEquilibrium, eigenvalue: float) -> dict[str, Any]:
         "end_force_N": np.asarray(found.end_force).tolist(),
         "end_moment_N_m": np.asarray(found.end_moment).tolist(),
         "residual": float(found.residual),
-        "stable": eigenvalue > 0.0,
+        "stable": eigenvalue > -NEUTRAL,
         "smallest_eigenvalue": eigenvalue,
     }
 
