@@ -248,15 +248,24 @@ def test_derivatives_by_angles_offset_stiffness_and_distance():
         angles, d = jnp.array([[0.1, 0.5], [-0.2, 0.0]]).at[0, 1].set(x[5]), jnp.array([0.0, 0.03])
         model = robot(tendons, waves, angles, d.at[0].set(x[4]), (2.0, 1.0))
         save = lambda x: x.positions()[:, 0]  # noqa: E731
-        numerics = replace(NUM, tolerance=1e-13)
-        return jnp.sum(spatial_rollout(model, TimeGrid(5e-3, 12), save, numerics).saved[-1])
+        # Stiff tendons amplify rounding errors, so that stages do not converge to 1e-13.
+        numerics = replace(NUM, tolerance=1e-11)
+        found = spatial_rollout(model, TimeGrid(5e-3, 12), save, numerics)
+        return jnp.sum(found.saved[-1]), found.ok
 
-    forward, backward = (np.array(jax.jit(d(tip))(values)) for d in (jax.jacfwd, jax.grad))
-    print(forward * values)
+    reverse, tangents = (
+        jax.jit(jax.value_and_grad(tip, has_aux=True)),
+        jax.jacfwd(tip, has_aux=True),
+    )
+    (_, ok), backward = reverse(values)
+    forward, backward = np.array(jax.jit(tangents)(values)[0]), np.array(backward)
+    print(forward * values, np.abs(backward - forward).max() / np.abs(forward).max())
+    assert bool(ok)
     assert np.all(np.abs(forward) > 0.0)
     np.testing.assert_allclose(backward, forward, rtol=1e-11, atol=1e-12 * np.abs(forward).max())
-    value = jax.jit(tip)
     for i in range(len(values)):
-        step = jnp.zeros(len(values)).at[i].set(1e-4 * values[i])
-        difference = (value(values + step) - value(values - step)) / (2 * step[i])
+        step = jnp.zeros(len(values)).at[i].set(3e-3 * values[i])
+        at = [float(reverse(values + k * step)[0][0]) for k in (-2, -1, 1, 2)]
+        difference = (8.0 * (at[2] - at[1]) - (at[3] - at[0])) / (12.0 * step[i])
+        print(i, float(difference / forward[i]) - 1.0)
         assert difference == pytest.approx(float(forward[i]), rel=1e-6)
