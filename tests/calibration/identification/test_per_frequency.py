@@ -75,6 +75,7 @@ OWN_RAMP = [(3.0, 0.2), (3.0, 0.2), (3.6, 0.4), (4.5, 0.7), (4.5, 0.7)]
 EACH = [(5.0, 0.9), (2.0, 0.3), (4.0, 0.8), (1.5, 0.2), (3.5, 0.7)]
 
 
+@pytest.mark.slow
 def test_the_true_ties_of_closed_form_readings_are_chosen(monkeypatch):
     closed.replace_the_beam(monkeypatch)
     at = (1.0, 1.6, 2.4, 3.4, 5.0)

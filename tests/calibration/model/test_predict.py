@@ -16,6 +16,7 @@ from tests.support.data import ROOT
 K, AMPLITUDE, SPACING = 0.075, 2e5, 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("begin", [0.0, 1.3e-4, 1.344e-3, 1.99e-3, 5.3e-3])
 def test_the_first_sample_may_be_between_steps(begin):
     """The closed form is the lag's step response."""

@@ -59,6 +59,7 @@ def test_an_omitted_effect_changes_no_tangent(trial):
     assert np.all(np.abs(omitted - present) <= 1e-9 * scale)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensors", [True, False])
 def test_long_series_are_computed_in_parts(trial, monkeypatch, sensors):
     p, theta = trial

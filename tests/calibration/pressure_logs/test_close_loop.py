@@ -115,6 +115,7 @@ def test_a_resumed_run_gives_the_result_of_an_uninterrupted_one(outcome, logs):
     assert loop_model_toml(again) == loop_model_toml(outcome)
 
 
+@pytest.mark.slow
 def test_the_verdict_on_logs_of_a_lag_is_nothing_missing(tmp_path):
     made = [
         read_log(write_log(tmp_path / f"{f:g}.txt", log_lines(0.12, f, noise=1.7, seed=i)))

@@ -141,6 +141,7 @@ def test_a_longer_log_in_the_batch_does_not_change_a_fit():
     assert float(jnp.abs(beside.residual[0, len(short.t) :]).max()) == 0.0
 
 
+@pytest.mark.slow
 def test_logs_that_disagree_widen_the_common_interval():
     alike = identify_lag([made(k=0.1, frequency=f, seed=i) for i, f in enumerate((1.0, 1.1, 1.2))])
     apart = identify_lag(

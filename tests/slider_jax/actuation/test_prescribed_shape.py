@@ -110,6 +110,7 @@ def test_a_free_body_starts_in_the_shape_and_keeps_its_momentum():
     assert change < 1e-3
 
 
+@pytest.mark.slow
 def test_static_state_has_the_prescribed_curvature_in_the_span():
     """Exact in the span; behind the span, the unloaded body is straight."""
     actuator = wave(near=0.1, far=0.25)

@@ -42,6 +42,7 @@ def test_the_option_can_be_repeated(tmp_path, capsys):
     assert "  wall_friction " in text and "  floor_friction " in text
 
 
+@pytest.mark.slow
 def test_an_experiment_may_contain_effects_of_the_file_which_the_result_records(
     tmp_path, experiment, capsys
 ):

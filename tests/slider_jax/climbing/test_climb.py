@@ -96,6 +96,7 @@ def test_other_waves_climb_too():
     assert speeds[0] == pytest.approx(speeds[1], rel=0.1) and speeds[0] > 0.01
 
 
+@pytest.mark.slow
 def test_mirrored_pins_and_pressures_climb_the_mirrored_path(up):
     mirrored = GAIT._replace(front=-GAIT.front, rear=-GAIT.rear)
     _, series, _ = climbed(wall(mirrored, link=-0.03))

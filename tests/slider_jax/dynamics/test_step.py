@@ -39,6 +39,7 @@ def test_a_root_finder_that_cannot_estimate_its_error_is_refused(wrong):
         BeamNewton(rtol=1e-8, **wrong)
 
 
+@pytest.mark.slow
 def test_a_failed_member_costs_no_further_time_and_keeps_its_state():
     model, steps = swimmer(), 20
     begin = dataclasses.replace(at_rest(model, SMALL), ok=jnp.asarray(False))

@@ -511,6 +511,7 @@ def test_the_mounting_yields_in_the_direction_of_the_load():
     np.testing.assert_allclose(dt * y[4, -1], sway * recoil, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_mounting_is_passive():
     """Its work over a swim is c load^2/2 in the springs; the dashpots dissipate the rest."""
     compliance = np.array([2e-4, 5e-4])

@@ -330,6 +330,7 @@ def test_damping_terms_have_the_stated_signs():
     assert signs("damping_of_bent_tail", b=1.0) == [0, 0, 0, 0]
 
 
+@pytest.mark.slow
 def test_the_simulation_of_a_model_file_contains_its_terms(tmp_path):
     content = built_in_experiment().model_dump()
     content["numerics"] |= {"nodes": 11, "step": 5e-3}

@@ -195,6 +195,7 @@ def test_a_limit_and_a_bias_change_the_set_pressure(tmp_path):
         np.testing.assert_allclose(float(at.b1), sign * 135e3 + 20e3)
 
 
+@pytest.mark.slow
 def test_a_robot_without_chambers_is_passive(tmp_path):
     """The tail of a towed foil that heaves moves; a robot at rest stays at rest."""
     still = ("amplitude = 150000.0", "amplitude = 0.0"), ("amplitude = 250000.0", "amplitude = 0.0")
@@ -373,6 +374,7 @@ IDLE = ("amplitude = 150000.0\n", ""), ("amplitude = 250000.0\n", "")
 """Changes of a robot without chambers: the trials have no pressure."""
 
 
+@pytest.mark.slow
 def test_a_robot_with_a_pair_of_tendons_swings(tmp_path):
     """Two tendons in antiphase pull in turn, and the body bends to both sides alike."""
     both = tendon("left", "tension = 1.0\nbias = 1.0") + tendon(

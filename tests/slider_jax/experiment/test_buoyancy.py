@@ -63,6 +63,7 @@ def test_a_neutrally_buoyant_robot_does_not_sag(tmp_path):
     np.testing.assert_allclose(found.shape[1], 0.0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_each_segment_has_its_own_buoyancy(tmp_path):
     """The clamp carries the net weight; the tail floats."""
     text = SEGMENTS.replace('part = "tail"', 'part = "tail"\ndensity = 900.0')

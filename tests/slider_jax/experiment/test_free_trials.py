@@ -137,6 +137,7 @@ def test_the_summary_of_a_free_trial_has_speed_and_course_and_no_forces(tmp_path
         assert result["periodic"]
 
 
+@pytest.mark.slow
 def test_a_changing_speed_is_not_periodic(tmp_path, capsys):
     """The robot starts at rest, so its speed differs from stride to stride."""
     path = write_small_experiment(tmp_path, FREE)

@@ -69,6 +69,7 @@ def test_one_that_was_played_as_meant_changes_nothing(tmp_path):
         np.testing.assert_allclose(after[name], x, atol=2e-9 * np.abs(x).max())
 
 
+@pytest.mark.slow
 def test_edges_are_where_they_were_played_between_steps_too(tmp_path):
     experiment = load(write_small_experiment(tmp_path)).with_values({"numerics.step": STEP})
     trial = experiment.trials[0]

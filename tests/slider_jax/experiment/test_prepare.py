@@ -3,12 +3,14 @@
 from collections import Counter
 
 import numpy as np
+import pytest
 
 from slider_jax.cli.main import main
 from slider_jax.experiment import load as loading, playback, prepare
 from tests.support.experiments import write_small_experiment
 
 
+@pytest.mark.slow
 def test_one_simulate_command_reads_each_file_and_builds_each_model_once(tmp_path, monkeypatch):
     path = write_small_experiment(tmp_path)
     for name, end in (("trial_00", 0.7), ("trial_01", 0.8)):

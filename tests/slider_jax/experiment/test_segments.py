@@ -92,6 +92,7 @@ def test_a_robot_bends_behind_its_rigid_segment_as_if_it_were_clamped_there(tmp_
     assert float(found.shape[1, 0]) == pytest.approx(force * 0.27**3 / (3.0 * 0.038), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_robot_may_have_no_tail(tmp_path):
     path = with_segments(tmp_path, segment(0.3, 0.038))
     assert float(to_model(load(path)).robot.length) == 0.3

@@ -201,6 +201,7 @@ def test_power_balances_at_every_instant_under_a_moving_clamp_and_gravity(moving
     np.testing.assert_allclose(left[50:], 0.0, atol=1e-8 * scale)
 
 
+@pytest.mark.slow
 def test_rate_of_stored_energy_is_the_derivative_of_the_energy(still):
     """By the trapezoid rule over the second stride; only the error of the step is left."""
     h = float(still[0][1] - still[0][0])

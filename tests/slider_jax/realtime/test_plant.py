@@ -134,6 +134,7 @@ def other_chambers(*actuators):
 OWN_WAVES = ("rear_ratio = 0.9\nphase = 0.1", "ratios = [1.0, 0.8, 0.9]\nphases = [0.0, 0.1, 0.2]")
 
 
+@pytest.mark.slow
 def test_a_plant_with_three_pairs_equals_the_simulation(tmp_path):
     """Also the limit of an actuator, its own lag, and an effect on the sensor of each pressure."""
     three = other_chambers(("head", "limit = 1.4e5"), ("middle", "k_ratio = 1.3"), ("rear", ""))

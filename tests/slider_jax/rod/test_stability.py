@@ -52,6 +52,7 @@ def test_a_strip_under_an_end_load_buckles_sideways():
     assert changes_sign(at, 4.013 * np.sqrt(EI * GJ) / L**2)
 
 
+@pytest.mark.slow
 def test_a_column_buckles_at_eulers_load():
     rod = rod_of(0.4, 0.05, 0.03, 0.06)
 

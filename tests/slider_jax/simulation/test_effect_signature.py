@@ -108,6 +108,7 @@ def gain(tmp_path_factory):
     return effect_signature(experiment, "force_gain")
 
 
+@pytest.mark.slow
 def test_the_signature_of_a_gain_is_that_share_of_the_forces(gain):
     (trace,) = gain.traces
     assert (trace.label, trace.size) == ("gain = 0.15", 0.15)

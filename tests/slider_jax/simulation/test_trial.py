@@ -139,6 +139,7 @@ def test_a_stream_equals_towing_through_still_water(tmp_path):
         np.testing.assert_allclose(run.series[name], towed.series[name], atol=2e-3 * scale)
 
 
+@pytest.mark.slow
 def test_measured_pressure_in_place_of_the_lag_gives_the_same_forces(simulated, tmp_path):
     """The pressures that the lag gave, sampled every 2 ms and played back without the lag."""
     folder, out = simulated
