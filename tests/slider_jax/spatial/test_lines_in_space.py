@@ -85,6 +85,7 @@ def swinging(wave=SineWave):
     return *pair, TensionTendon(0.1, 0.2, (0.01, 0.01), wave(2.0, 5.0), angle=(0.0, 0.0))
 
 
+@pytest.mark.slow
 def test_tendons_in_a_rolled_plane_are_the_planar_ones():
     """A slackening pair, a third tendon and chambers with a distance: 1e-8 in two planes."""
     waves = SineWave(2.0, 30e3), SineWave(2.0, 30e3, 0.2)
@@ -158,6 +159,7 @@ def twisting(pulls=(15e-3, 12e-3, 3.0), angles=ANGLES, offsets=(0.012, -0.01, 0.
     ]
 
 
+@pytest.mark.slow
 def test_helical_tendons_at_rest_give_the_strains_of_the_static_rod():
     """Bending, twist and compression: 1e-7 of the largest bending and compression."""
     found = simulated(robot(twisting(), OFF), SLOW, about_tau(jnp.asarray(0.3)))

@@ -79,6 +79,7 @@ def swum(tmp_path_factory):
     return folder / "out"
 
 
+@pytest.mark.slow
 def test_a_rolled_robot_swims_as_the_planar_one(swum):
     (row,) = json.loads((swum / "swim.json").read_text())["swims"]
     velocity = np.array(row["from_rest"]["velocity_m_per_s"])
@@ -92,6 +93,7 @@ def test_a_rolled_robot_swims_as_the_planar_one(swum):
     assert row["tail_amplitude_out_of_plane_m"] < 1e-4 * row["tail_amplitude_m"]
 
 
+@pytest.mark.slow
 def test_the_files_describe_the_last_stride(swum):
     (row,) = json.loads((swum / "swim.json").read_text())["swims"]
     columns = read_csv(swum / "swim_swim.csv", ("t_s", "velocity_x_m_per_s", "tip_z_m", "power_W"))
