@@ -124,10 +124,11 @@ def _inverse_of_3(a):
 
 
 def _inverse(a):
-    """Inverts square blocks by Gauss-Jordan with pivots of 3 x 3, elementwise along the last axis.
+    """Inverts square blocks by block Gauss-Jordan elimination, elementwise along the last axis.
 
-    Each pass eliminates the first three rows and columns and moves them to the end. After the last
-    pass, rows and columns are in their old order.
+    The diagonal blocks of 3 x 3 are eliminated in order, without row exchange, so each must be
+    invertible when its turn comes. The size is 3, 6 or 12. Each pass eliminates the first three
+    rows and columns and moves them to the end, so the last pass restores their order.
     """
     if a.shape[0] == 3:
         return _inverse_of_3(a)

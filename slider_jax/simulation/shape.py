@@ -180,7 +180,7 @@ def write_rerun(shape: SavedShape, path: Path, every: int = 1) -> int:
     except ImportError:
         raise InputError(
             "--to rerun: the package rerun-sdk is not installed; install it with "
-            "pip install rerun-sdk"
+            "pip install -e .[rerun]"
         ) from None
     # Indices: step, node or cell, axis of space
     position = shape.position_m[::every].transpose(0, 2, 1)

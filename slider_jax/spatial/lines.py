@@ -29,6 +29,7 @@ from slider_jax.actuation import Actuator, Tendon
 from slider_jax.beam.parameters import Scalar
 from slider_jax.beam.spatial import SpatialReference, SpatialStructure, Vec, strain_in_space
 from slider_jax.dynamics.model import SpaceSettings
+from slider_jax.dynamics.tendons import tendons_of
 
 
 class LineCourse(NamedTuple):
@@ -175,7 +176,7 @@ class TendonLines(eqx.Module):
 
 def tendon_lines(actuators: tuple[Actuator, ...], body: SpatialStructure) -> TendonLines | None:
     """Returns the lines of the tendons among the actuators, or None if there are no tendons."""
-    tendons = tuple(x for x in actuators if isinstance(x, Tendon))
+    tendons = tendons_of(actuators)
     if not tendons:
         return None
     rows = []
@@ -194,7 +195,8 @@ def lines_of_chambers(
 ) -> Lines | None:
     """Returns the lines of chambers with the `spans` [m] from the head; None without distances.
 
-    The ends of a chamber are smeared over a few cells; outside its span, its angle is constant.
+    The ends of a chamber are smeared over a few cells; outside its span, the
+    angle is that of the end, and da/ds is that of the span.
     """
     if space.distances is None:
         return None

@@ -41,6 +41,7 @@ from slider_jax.spatial.residual import (
     sections,
     spatial_jacobian,
     spatial_residual,
+    tensions_in_space,
     turning_in_cells,
     vectors,
 )
@@ -151,13 +152,20 @@ class SpatialSnapshot(eqx.Module):
         return self.y[6, -1]
 
     def actuator_power(self) -> Array:
-        """Returns the mechanical power [W] of the chambers on the body: int M_act dOmega/dt ds.
+        """Returns the mechanical power [W] of chambers and tendons on the body.
 
-        See `chamber_power`, which gives the power of each chamber in the plane.
+        It is the integral of M_act dOmega/dt - P_c d(eps)/dt, with the active moment M_act and the
+        compression P_c by tendons.
         """
-        x = self.section()
-        moment, rate = jnp.stack(moment_of_chambers(x, self.stage)), jnp.stack(x.curvature_t)
-        return self.mesh.grid.integral(jnp.sum(moment * rate, axis=0))
+        x, stage = self.section(), self.stage
+        active, compression = moment_of_chambers(x, stage), jnp.zeros_like(x.strain)
+        tension = tensions_in_space(self.mesh.grid.mid(self.y[0]), x.curvature, stage)
+        if stage.tendons is not None and tension is not None:
+            compression, pulled = stage.tendons.loads(tension, x.strain, x.curvature)
+            active = active.plus(pulled)
+        strain_t = (x.strain - stage.reference.strain) / stage.reference.dt
+        bending = sum(m * rate for m, rate in zip(active, x.curvature_t, strict=True))
+        return self.mesh.grid.integral(bending - compression * strain_t)
 
     def force_density(self) -> Float[Array, "3 cells"]:
         """Returns the force per length (x, y, z) [N/m] of the effects in the cells."""
@@ -188,15 +196,28 @@ def settings_in_space(model: Model) -> SpaceSettings:
             "in the plane only; remove them or use two dimensions"
         )
     if not all(isinstance(x, Tendon) for x in model.actuators):
-        raise ValueError("a robot in three dimensions has chambers and tendons only")
+        kinds = ", ".join({type(x).__name__ for x in model.actuators if not isinstance(x, Tendon)})
+        raise ValueError(
+            f"a robot in three dimensions: given the actuators {kinds}; allowed chambers and "
+            "tendons; remove the others or use two dimensions"
+        )
     if isinstance(model.water, WaterField):
-        raise ValueError("a robot in three dimensions needs uniform water")
+        raise ValueError(
+            "a robot in three dimensions: given a velocity field of the water; allowed still or "
+            "uniform water, or two dimensions"
+        )
     if model.space is None:
-        raise ValueError("a model in three dimensions needs `space`, a `SpaceSettings`")
+        raise ValueError("a robot in three dimensions: Model.space is None; set SpaceSettings")
     if model.robot.stiffening is not None:
-        raise ValueError("a robot in three dimensions has no stiffening by pressure yet")
+        raise ValueError(
+            "a robot in three dimensions: given stiffening by pressure; remove it or use two "
+            "dimensions"
+        )
     if model.space.far_angles is not None and model.space.distances is None:
-        raise ValueError("helical chambers need `distances` from the axis")
+        raise ValueError(
+            "a robot in three dimensions: far_angles of helical chambers without distances; set "
+            "SpaceSettings.distances"
+        )
     return model.space
 
 

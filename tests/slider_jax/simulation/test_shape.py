@@ -150,7 +150,7 @@ def test_an_export_for_rerun_without_the_package_says_how_to_install_it(
     write_shape(saved_shape(arc[0]), {}, source)
     assert main(["export", str(source), "--to", "rerun", "--out", str(out)]) == 2
     printed = capsys.readouterr().err
-    assert printed.count("\n") == 1 and "pip install rerun-sdk" in printed
+    assert printed.count("\n") == 1 and "pip install -e .[rerun]" in printed
     assert not out.exists()
 
 

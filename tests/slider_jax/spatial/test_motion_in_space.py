@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax.actuation import SineWave
+from slider_jax.actuation import LengthTendon, SineWave
 from slider_jax.beam.parameters import Numerics
 from slider_jax.beam.spatial import Vec, about_tau, rate_of, rotation_vector, turned, turning_of
 from slider_jax.dynamics.model import SpaceSettings
@@ -217,7 +217,7 @@ def dot(p, q):
 
 
 def powers(x):
-    """Returns the power [W] of the chambers, and the part that no other term contains."""
+    """Returns the power [W] of the actuators, and the part that no other term contains."""
     c, s, integral, old = x.section(), x.mesh.structure, x.mesh.grid.integral, x.stage.reference
     strain_t = (c.strain - old.strain) / old.dt
     bend = [k * w for k, w in zip(s.stiffness, c.curvature, strict=True)]
@@ -235,10 +235,15 @@ def powers(x):
 
 
 @pytest.mark.slow
-def test_the_powers_balance_at_every_step():
-    """The work of the chambers is stored, dissipated or given to the water, to 1e-9 of the power.
+@pytest.mark.parametrize("with_tendon", [False, True])
+def test_the_powers_balance_at_every_step(with_tendon):
+    """The work of the actuators is stored, dissipated or given to the water, to 1e-9 of the power.
     The body bends alike in both planes, and twists."""
     model = replace(strip_swimmer(EI_n=0.02), space=SpaceSettings(jnp.array([0.7, -0.7])))
+    if with_tendon:
+        pull = SineWave(3.0, 2e-3)
+        helix = LengthTendon(0.02, 0.3, 0.012, pull, 2e3, angle=(0.3, 2.0))
+        model = replace(model, actuators=(arrays(helix),))
     numerics = replace(SMALL, tolerance=1e-11)
     save = lambda x: (*powers(x), x.section().curvature.n)  # noqa: E731
     run = jax.jit(lambda m: spatial_rollout(m, TimeGrid(5e-3, 60), save, numerics))(model)
@@ -324,7 +329,7 @@ def test_what_is_defined_in_the_plane_only_is_refused():
     with pytest.raises(ValueError, match="GJ of body or tail is absent"):
         bare = replace(model, robot=model.robot.with_parts(lambda p: replace(p, GJ=None)))
         spatial_rollout(bare, times, lambda x: x.t)
-    with pytest.raises(ValueError, match="needs `space`"):
+    with pytest.raises(ValueError, match="Model.space is None"):
         spatial_rollout(swimmer(), times, lambda x: x.t)
     with pytest.raises(InputError, match="dimension: given 3; allowed 2"):
         rollout(model, times, lambda x: x.t)

@@ -38,7 +38,7 @@ def random_section(seed: int = 1) -> SpatialSection:
     V_t = vec()
     return SpatialSection(
         t=jnp.zeros(()), omega=omega, omega_t=vec(), curvature=curvature, curvature_t=vec(),
-        strain=0.0 * one, V=V, u=V, u_s=V_s, u_t=V_t, twist_slope=scalar(-1.0, 1.0),
+        strain=0.0 * one, V=V, V_t=V_t, u=V, u_s=V_s, u_t=V_t, twist_slope=scalar(-1.0, 1.0),
         frame=Quaternion(one, 0.0 * one, 0.0 * one, 0.0 * one), structure=structure,
     )  # fmt: skip
 
