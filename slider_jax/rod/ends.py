@@ -20,7 +20,7 @@ from slider_jax.rod.rod import Rod, RodShape, rod_shape
 from slider_jax.rod.rotations import rotation
 
 BOW = 0.1
-"""Angle [rad] between the two slopes of the extra curvature and the unloaded rod."""
+"""Largest slope [rad] of the bowed rod relative to the unloaded rod. Twice, L/4 from each end."""
 
 
 class HeldEnd(eqx.Module):
@@ -37,7 +37,7 @@ class HeldEnd(eqx.Module):
     near_axes: Float[Array, "3 h"]
     """Unit vectors about which the near end can turn, as columns: none in a clamp."""
     way: Float[Array, "3"]
-    """Displacement [m] from the place at the unloaded rod to `position`."""
+    """Displacement [m] of the far end from its place in the unloaded, bowed rod to `position`."""
     turn: Float[Array, "3"]
     """Rotation vector [rad] from the frame at the unloaded rod to `frame`."""
     turns: Float[Array, ""]

@@ -1,6 +1,6 @@
 """The equilibrium of a rod under static loads, and its stability.
 
-Newton's method solves the equations of `virtual_work` at growing shares of the loads. The far end
+Newton's method solves `rod_equations` at a growing share of the loads. The far end
 of a rod may be held; the force and the moment of its support are then further unknowns, and the
 place of the end gives the further equations. The shape is of fourth order in the length of the
 cells if the properties vary smoothly.

@@ -345,12 +345,20 @@ class TestBadInput:
                 "load.moment: given [0.1, 0.0, 0.0]; allowed zero",
             ),
             ("follower = true", end_of(), "load.follower: given True; allowed false"),
+            ("", end_of(x=1200.0), "end.position.0: given 1200.0; allowed -1000 to 1000 m"),
         ],
     )
     def test_loads_and_a_held_end(self, case, load, end, message):
         with pytest.raises(InputError) as error:
             case(text_of(load=load, more=end))
         assert message in str(error.value)
+
+    def test_a_place_in_millimetres_is_refused_with_EA_too(self, case):
+        message = (
+            r"end.position: given \[368.0, .*; allowed less than 2 x rod.length from the start"
+        )
+        with pytest.raises(InputError, match=message):
+            case(text_of(rod="EA = 1000.0", more=end_of(x=368.0, more="")))
 
     def test_gravity_in_a_fluid_needs_the_area(self, case):
         load = "gravity = [0.0, 0.0, -9.81]\nfluid_density = 1000.0"
