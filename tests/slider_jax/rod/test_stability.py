@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slider_jax.rod.ends import held_end
-from slider_jax.rod.equilibrium import RodEquilibrium, equilibrium, smallest_eigenvalue
+from slider_jax.rod.equilibrium import NEUTRAL, RodEquilibrium, equilibrium, smallest_eigenvalue
 from slider_jax.rod.loads import RodLoads, straight_tendon, weighted_place
 from slider_jax.rod.rod import Rod, half_cells, rod_shape
 from slider_jax.rod.rotations import mean_rotation, rotation
@@ -114,6 +114,17 @@ def test_the_eigenvalue_is_one_without_loads():
     rod = rod_of(0.4, 0.05, 0.03, 0.06)
     found = equilibrium(rod, loads_of(), 1)
     assert smallest_eigenvalue(found, rod, loads_of()) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("weight, neutral", [(0.0, True), (5.0, False)])
+def test_a_pendulum_is_neutral_without_weight(weight, neutral):
+    """A hanging straight rod between a hinge and an end that slides across; it turns rigidly."""
+    rod, across = rod_of(0.4, 0.05, 0.03, 0.03, points=4), np.array([1.0, 0.0, 0.0])
+    clamp = jnp.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+    rod = Rod(rod.ds, rod.stiffness, rod.initial_curvature, clamp, rod.weight + weight)
+    end = held_end(rod, np.array([0.0, 0.0, -0.4]), None, slides_along=across, near_hinge=True)
+    eigenvalue = held_eigenvalue(rod, loads_of(), rod.unloaded, end)
+    assert abs(eigenvalue) <= NEUTRAL if neutral else eigenvalue > 0.01
 
 
 @pytest.mark.slow

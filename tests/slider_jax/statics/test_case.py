@@ -261,6 +261,17 @@ class TestHeldEnd:
         np.testing.assert_allclose(found.end_moment[0] * length / B, 98.5415, rtol=5e-4)
         np.testing.assert_allclose(found.end_force[0] * length**2 / B, 2900.993, rtol=5e-4)
 
+    def test_a_rigid_turn_of_a_sliding_rod_is_an_error(self, case):
+        """Two hinges; the end slides across the rod under a force."""
+        x = case(
+            text_of(
+                rod='start = "hinged"\nEA = 1000.0', load="force = [0.0, 1.0, 0.0]", nodes=3,
+                more=end_of("hinged", more="slides_along = [0.0, 1.0, 0.0]"),
+            )
+        )  # fmt: skip
+        with pytest.raises(SolverError, match="as a rigid body.*clamp one end"):
+            solve_equilibrium(x.rod, x.loads, x.end)
+
     @pytest.mark.slow
     def test_an_end_that_cannot_be_reached_is_an_error(self, case):
         """The clamps point away from each other, and the rod is too short to turn back."""
