@@ -40,5 +40,6 @@ def rod_statics(
     print(f"tip at ({tip}) m; moment on the support ({moment}) N m")
     state = "stable" if eigenvalue > NEUTRAL else "unstable"
     state = "neutral" if abs(eigenvalue) <= NEUTRAL else state
-    print(f"{state}: smallest eigenvalue {eigenvalue:.4g} (1 without loads)")
+    compared = " (1 without loads)" if case.table.rod.start == "clamped" else ""
+    print(f"{state}: smallest eigenvalue {eigenvalue:.4g}{compared}")
     print(f"statics.json, shape.csv and shape.png are in {out}", file=sys.stderr)

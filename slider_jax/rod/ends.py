@@ -1,7 +1,8 @@
 """The supports of a rod that is held at both ends.
 
 The far end has a given place, and, in a clamp, a given direction. A hinge lets it turn. The near
-end may be a hinge too: it turns about the axes n and b of the clamp, and not about t.
+end may be a hinge too: it turns about any axis in the plane of n and b of the clamp, and not about
+t. So its rotation vector from the clamp has no part along t.
 
 The end moves from its place at the unloaded rod to the given place in proportion to the share of
 the loads. A straight rod that is pushed together has no unique shape. So the unloaded rod gets a
@@ -17,10 +18,10 @@ from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from slider_jax.rod.rod import Rod, RodShape, rod_shape
-from slider_jax.rod.rotations import rotation
+from slider_jax.rod.rotations import axis_of, mean_rotation, rotation
 
 BOW = 0.1
-"""Angle [rad] between the two slopes of the extra curvature and the unloaded rod."""
+"""Largest slope [rad] of the bowed rod relative to the unloaded rod. Twice, L/4 from each end."""
 
 
 class HeldEnd(eqx.Module):
@@ -35,9 +36,9 @@ class HeldEnd(eqx.Module):
     turning_held: Float[Array, "m 3"]
     """Unit vectors about which the far end cannot turn: three in a clamp, none in a hinge."""
     near_axes: Float[Array, "3 h"]
-    """Unit vectors about which the near end can turn, as columns: none in a clamp."""
+    """Unit vectors about which the near end can turn, as columns: n and b, or none in a clamp."""
     way: Float[Array, "3"]
-    """Displacement [m] from the place at the unloaded rod to `position`."""
+    """Displacement [m] of the far end from its place in the unloaded, bowed rod to `position`."""
     turn: Float[Array, "3"]
     """Rotation vector [rad] from the frame at the unloaded rod to `frame`."""
     turns: Float[Array, ""]
@@ -59,12 +60,19 @@ class HeldEnd(eqx.Module):
             ),
         )
 
+    def near_frame(self, near: Float[Array, " h"], clamp: Float[Array, "3 3"]) -> Array:
+        """Returns the frame at the near end, turned by the rotation vector `near_axes @ near`."""
+        return rotation(self.near_axes @ near) @ clamp
+
+    def near_spin(self, near: Float[Array, " h"]) -> Float[Array, "3 h"]:
+        """Returns the turn of the near end per change of each part of `near`."""
+        return mean_rotation(self.near_axes @ near) @ self.near_axes
+
     def error(self, shape: RodShape) -> Float[Array, " k_and_m"]:
         """Returns displacements [m] and turns [rad] of the far end along the held axes."""
-        spin = shape.frame[-1] @ self.frame.T
-        turned = 0.5 * jnp.stack(
-            [spin[2, 1] - spin[1, 2], spin[0, 2] - spin[2, 0], spin[1, 0] - spin[0, 1]]
-        )
+        turning = shape.frame[-1] @ self.frame.T
+        # 2 tan(angle/2) along the axis: a small angle itself, and not zero at half a turn.
+        turned = 4.0 / (1.0 + jnp.trace(turning)) * axis_of(turning)
         away = self.held @ (shape.position[-1] - self.position)
         return jnp.concatenate([away, self.turning_held @ turned])
 

@@ -1,6 +1,6 @@
 """The equilibrium of a rod under static loads, and its stability.
 
-Newton's method solves the equations of `virtual_work` at growing shares of the loads. The far end
+Newton's method solves `rod_equations` at a growing share of the loads. The far end
 of a rod may be held; the force and the moment of its support are then further unknowns, and the
 place of the end gives the further equations. The shape is of fourth order in the length of the
 cells if the properties vary smoothly.
@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.linalg import eigvals, null_space
+from scipy.spatial.transform import Rotation
 
 from slider_jax.errors import SolverError
 from slider_jax.rod.ends import HeldEnd
 from slider_jax.rod.loads import RodLoads, weighted_place
 from slider_jax.rod.rod import Rod, RodShape, rod_shape
-from slider_jax.rod.rotations import rotation
 from slider_jax.rod.virtual_work import rod_equations, unloaded_tip
 
 TOLERANCE = 1e-11
@@ -30,9 +30,11 @@ MOST_ITERATIONS = 30
 LARGEST_STEP, SMALLEST_STEP = 0.25, 1e-3
 """Largest step of the share of the loads, and smallest step divided by the largest one."""
 LARGEST_TURN = 0.125
-"""Most turns of a held end in a step."""
+"""Most turns of a held end in a step. From an eighth of a turn, Newton's method converges to the
+next shape; after half a turn, the direction of the turn would be lost."""
 NEUTRAL = 1e-9
-"""Size of an eigenvalue below which the equilibrium is neutral."""
+"""Size of an eigenvalue below which the equilibrium is neutral. Rounding errors and `TOLERANCE`
+cause errors of 1e-11 to 1e-10."""
 
 
 class RodEquilibrium(NamedTuple):
@@ -45,8 +47,9 @@ class RodEquilibrium(NamedTuple):
     moment: Float[Array, "3"]
     """Moment [N m] that the rod exerts on the support of the near end, in space."""
     residual: Float[Array, ""]
-    """Largest error of a strain, divided by the largest strain or by 1/length; or error of the far
-    end's turn, or of its place divided by the length."""
+    """Largest of these errors: of a strain, divided by the largest strain or by 1/length; of the
+    far end's turn; of its place, divided by the length; and of the moment in the near hinge,
+    divided by the largest stiffness and the largest strain or 1/length."""
     ok: Bool[Array, ""]
     """Whether Newton's method converged."""
     end_force: Float[Array, "3"]
@@ -59,8 +62,8 @@ class _State(NamedTuple):
     """The unknowns."""
 
     strains: Float[Array, "points q"]
-    near: Float[Array, "3 3"]
-    """Frame at the near end; it turns only in a hinge."""
+    near: Float[Array, " h"]
+    """Rotation vector [rad] of the near end from the clamp, along the axes of its hinge."""
     pull: Float[Array, " k"]
     """Force [N] and moment [N m] of the far support along the held axes."""
 
@@ -97,8 +100,10 @@ def _system(x: _State, loads: RodLoads, rod: Rod, end: HeldEnd | None) -> _Syste
         return _System(work.residual, work.stiffness, none, x.pull)
     force, moment = end.pull(x.pull)
     loads = replace(loads, force=loads.force + force, moment=loads.moment + moment)
-    work = rod_equations(x.strains, replace(rod, clamp=x.near), loads)
-    axes, tip = end.near_axes, work.shape.position[-1]
+    rod = replace(rod, clamp=end.near_frame(x.near, rod.clamp))
+    work = rod_equations(x.strains, rod, loads)
+    axes, tip = end.near_spin(x.near), work.shape.position[-1]
+    bent = jax.jacfwd(lambda near: -end.near_spin(near).T @ work.moment)(x.near)
     spin = jnp.concatenate([work.spin, axes.T])
     moved = jnp.concatenate([work.tip, jnp.cross(axes.T, tip)])
     return _System(
@@ -106,7 +111,7 @@ def _system(x: _State, loads: RodLoads, rod: Rod, end: HeldEnd | None) -> _Syste
         jnp.block(
             [
                 [work.stiffness, work.turned @ axes],
-                [axes.T @ work.turning, axes.T @ work.turned_moment @ axes],
+                [axes.T @ work.turning, axes.T @ work.turned_moment @ axes + bent],
             ]
         ),
         jnp.concatenate([end.held @ moved.T, end.turning_held @ spin.T]),
@@ -117,7 +122,7 @@ def _system(x: _State, loads: RodLoads, rod: Rod, end: HeldEnd | None) -> _Syste
 _compiled_system = eqx.filter_jit(_system)
 
 
-def _step(x: _State, system: _System, end: HeldEnd | None, matrix: _System) -> _State:
+def _step(x: _State, system: _System, matrix: _System) -> _State:
     """Returns the state after a Newton step with the derivatives of `matrix`."""
     held, stiffness = matrix.held, matrix.stiffness
     zero = jnp.zeros((len(held), len(held)))
@@ -126,11 +131,10 @@ def _step(x: _State, system: _System, end: HeldEnd | None, matrix: _System) -> _
     errors = jnp.concatenate([system.error, -scale * system.away])
     change = -jnp.linalg.solve(whole, errors)
     size, unknowns = x.strains.size, len(system.error)
-    near = x.near
-    if end is not None:
-        near = rotation(end.near_axes @ change[size:unknowns]) @ near
     return _State(
-        x.strains + change[:size].reshape(x.strains.shape), near, x.pull + scale * change[unknowns:]
+        x.strains + change[:size].reshape(x.strains.shape),
+        x.near + change[size:unknowns],
+        x.pull + scale * change[unknowns:],
     )
 
 
@@ -145,7 +149,7 @@ def _solve(
         x, _, count = state
         system = _system(x, *part)
         error = _error(x, system, rod, end)
-        after = _step(x, system, part[2], system)
+        after = _step(x, system, system)
         # A step beyond the tolerance would only add rounding errors to a soft rod.
         return (
             jax.tree.map(lambda a, b: jnp.where(error > TOLERANCE, a, b), after, x),
@@ -169,10 +173,11 @@ def _found(
     part = _share_of(loads, rod, end, 1.0)
     system = _system(x, *part)
     error = _error(x, system, rod, end)
-    step = _step(x, system, part[2], jax.lax.stop_gradient(system))
+    step = _step(x, system, jax.lax.stop_gradient(system))
     x = jax.tree.map(lambda a, b: a + (b - jax.lax.stop_gradient(b)), x, step)
     pull = (jnp.zeros(3), jnp.zeros(3)) if end is None else end.pull(x.pull)
-    rod = replace(rod, clamp=x.near)
+    if end is not None:
+        rod = replace(rod, clamp=end.near_frame(x.near, rod.clamp))
     shape = rod_shape(rod, x.strains)
     force, moment = loads.on_tip(shape.frame[-1], unloaded_tip(rod, loads))
     force, arm = force + pull[0], shape.position[-1]
@@ -203,14 +208,18 @@ def equilibrium(
     shares = jnp.arange(1, increments + 1) / increments
     x, ok = jax.lax.scan(
         lambda x, share: _solve(x, *given, None, share),
-        _State(begin, given[0].clamp, jnp.zeros(0)),
+        _State(begin, jnp.zeros(0), jnp.zeros(0)),
         shares,
     )
     return _found(x, rod, loads, None, jnp.all(ok))
 
 
 def _error(x: _State, system: _System, rod: Rod, end: HeldEnd | None) -> Float[Array, ""]:
-    """Returns the largest relative error of a strain, or of the place of the far end."""
+    """Returns the largest relative error of a strain, of the far end, or of the near hinge.
+
+    The error of the hinge is its moment, divided by the moment that bends the rod to the largest
+    strain.
+    """
     weights = (rod.elasticity * rod.ds[:, None]).ravel()
     length = jnp.sum(rod.ds)
     size = jnp.maximum(jnp.max(jnp.abs(x.strains)), 1.0 / length)
@@ -219,26 +228,29 @@ def _error(x: _State, system: _System, rod: Rod, end: HeldEnd | None) -> Float[A
         return strain
     moved, turned = jnp.split(jnp.abs(system.away), [len(end.held)])
     away = jnp.max(moved, initial=0.0) / length
-    return jnp.max(jnp.stack([strain, away, jnp.max(turned, initial=0.0)]))
+    moment = jnp.max(jnp.abs(system.error[weights.size :]), initial=0.0)
+    hinge = moment / (jnp.max(rod.stiffness) * size)
+    return jnp.max(jnp.stack([strain, away, jnp.max(turned, initial=0.0), hinge]))
 
 
 def solve_equilibrium(rod: Rod, loads: RodLoads, end: HeldEnd | None = None) -> RodEquilibrium:
     """Returns the equilibrium that is reached if the loads grow, and the held end moves.
 
-    A step is halved if Newton's method does not converge, or if the shape changes too much.
-    Raises `SolverError` if the steps become too small.
+    A step is halved if Newton's method does not converge, or, with a held end, if a strain changes
+    by more than the largest strain. Raises `SolverError` if the steps become too small.
     """
-    begin, largest, pull = rod.unloaded, LARGEST_STEP, jnp.zeros(0)
+    begin, largest, near, pull = rod.unloaded, LARGEST_STEP, jnp.zeros(0), jnp.zeros(0)
     if end is not None:
         begin = begin.at[:, :3].add(end.bow)
         largest = min(largest, LARGEST_TURN / max(abs(float(end.turns)), 1e-9))
+        near = jnp.zeros(end.near_axes.shape[1])
         pull = jnp.zeros(len(end.held) + len(end.turning_held))
-    x = before = _State(begin, rod.clamp, pull)
+    x = before = _State(begin, near, pull)
     share, step, last = 0.0, largest, jnp.inf
     while share < 1.0:
         step = min(step, 1.0 - share)
         ahead = jax.tree.map(lambda a, b, f=step / last: a + f * (a - b), x, before)
-        after, ok = _solve(ahead._replace(near=x.near), rod, loads, end, jnp.asarray(share + step))
+        after, ok = _solve(ahead, rod, loads, end, jnp.asarray(share + step))
         if end is not None:
             change = jnp.max(jnp.abs(after.strains - x.strains))
             ok = ok & (change < jnp.maximum(jnp.max(jnp.abs(x.strains)), 1.0 / jnp.sum(rod.ds)))
@@ -254,6 +266,13 @@ def solve_equilibrium(rod: Rod, loads: RodLoads, end: HeldEnd | None = None) -> 
         found = _found(x, rod, loads, end, jnp.array(True))
         if found.ok:
             return found
+    if end is not None and share == 0.0:
+        held = _compiled_system(x, *_share_of(loads, rod, end, 0.0)).held[:, x.strains.size :]
+        if np.linalg.matrix_rank(held, tol=NEUTRAL * float(jnp.sum(rod.ds))) < held.shape[1]:
+            raise SolverError(
+                "the supports let the rod turn or slide as a rigid body, so its shape is not "
+                "determined; clamp one end, or remove end.slides_along"
+            )
     if end is None:
         remedy = "reduce the loads"
     else:
@@ -269,19 +288,25 @@ def smallest_eigenvalue(
 ) -> float:
     """Returns the smallest real part of the eigenvalues of the stiffness matrix.
 
-    The matrix is divided by the stiffness of the unloaded rod, so the value is 1 without loads.
-    It acts on the motions that the supports allow. The equilibrium is stable against small static
-    disturbances if the value is positive. It is neutral if the value is zero, to `NEUTRAL`: the
-    rod then moves without force, like an isotropic rod between two clamps in line. The criterion
-    does not find flutter under follower loads.
+    The matrix is divided by the stiffness of the unloaded rod, so the value is 1 without loads. A
+    turn of a hinged near end counts with the stiffness EI/length; the value is then less than 1.
+    The matrix acts on the motions that the supports allow. The equilibrium is stable against small
+    static disturbances if the value is positive. It is neutral if the value is zero, to `NEUTRAL`:
+    the rod then moves without force, like an isotropic rod between two clamps in line. The
+    criterion does not find flutter under follower loads.
     """
-    pull = jnp.zeros(0)
+    near = pull = jnp.zeros(0)
     if end is not None:
+        turned = Rotation.from_matrix(found.shape.frame[0] @ rod.clamp.T).as_rotvec()
+        near = end.near_axes.T @ turned
         pull = jnp.concatenate([end.held @ found.end_force, end.turning_held @ found.end_moment])
-    x = _State(found.strains, found.shape.frame[0], pull)
+    x = _State(found.strains, near, pull)
     system = _compiled_system(x, loads, rod, end)
     matrix, weights = np.asarray(system.stiffness), np.zeros(len(system.error))
     weights[: x.strains.size] = np.asarray(rod.elasticity * rod.ds[:, None]).ravel()
+    weights[x.strains.size :] = (
+        np.sum(rod.stiffness[:, 1:] * rod.ds[:, None]) / jnp.sum(rod.ds) ** 2
+    )
     if end is None:
         return float(eigvals(matrix / weights[:, None]).real.min())
     free = null_space(np.asarray(system.held))

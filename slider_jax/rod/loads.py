@@ -99,12 +99,3 @@ class RodLoads(eqx.Module):
             return self.force, self.moment
         turn = tip @ unloaded.T
         return turn @ self.force, turn @ self.moment
-
-    def potential(
-        self, rod: Rod, strains: Float[Array, "points q"], shape: RodShape
-    ) -> Float[Array, ""]:
-        """Returns the potential energy [J] of weight and tendons."""
-        energy = -weighted_place(rod, strains, shape) @ self.down
-        for tendon in self.tendons:
-            energy = energy + tendon.tension * tendon.length(rod, strains)
-        return energy

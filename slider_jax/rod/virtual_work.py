@@ -159,11 +159,3 @@ def rod_equations(strains: Float[Array, "points q"], rod: Rod, loads: RodLoads) 
         -after,
         jnp.trace(swing) * jnp.eye(3) - swing,
     )
-
-
-def virtual_work(
-    strains: Float[Array, "points q"], rod: Rod, loads: RodLoads
-) -> Float[Array, "points q"]:
-    """Returns the residual of the equations as an error of each strain."""
-    work = rod_equations(strains, rod, loads).residual.reshape(strains.shape)
-    return work / (rod.elasticity * rod.ds[:, None])

@@ -95,11 +95,17 @@ def _frame(tangent, normal) -> np.ndarray:
 def _support(end: EndTable, x: RodTable, rod: Rod, path: Path) -> HeldEnd:
     """Returns the supports of both ends."""
     place = np.array(end.position)
-    if rod.EA is None and np.linalg.norm(place - end.sliding @ place) >= x.length:
+    away = np.linalg.norm(place - end.sliding @ place)
+    if rod.EA is None and away >= x.length:
         raise InputError(
             f"{path}: end.position: given {list(end.position)}; allowed less than {x.length:g} m "
             "from the start, because a rod without EA does not stretch; move the end, let it slide "
             "with end.slides_along, or give EA"
+        )
+    if away >= 2.0 * x.length:
+        raise InputError(
+            f"{path}: end.position: given {list(end.position)}; allowed less than 2 x rod.length "
+            "from the start; positions are in metres"
         )
     frame = None
     if end.kind == "clamped":

@@ -13,14 +13,17 @@ from slider_jax.statics.case import StaticCase
 
 
 def result_of(found: RodEquilibrium, eigenvalue: float) -> dict[str, Any]:
-    """Returns the result of an equilibrium as in statics.json, without settings."""
+    """Returns the result of an equilibrium as in statics.json, without settings.
+
+    All forces and moments are those that the rod exerts on its supports.
+    """
     return {
         "tip_m": np.asarray(found.shape.position[-1]).tolist(),
         "tip_frame": np.asarray(found.shape.frame[-1]).T.tolist(),
         "clamp_force_N": np.asarray(found.force).tolist(),
         "clamp_moment_N_m": np.asarray(found.moment).tolist(),
-        "end_force_N": np.asarray(found.end_force).tolist(),
-        "end_moment_N_m": np.asarray(found.end_moment).tolist(),
+        "end_force_N": (0.0 - np.asarray(found.end_force)).tolist(),
+        "end_moment_N_m": (0.0 - np.asarray(found.end_moment)).tolist(),
         "residual": float(found.residual),
         "stable": eigenvalue > -NEUTRAL,
         "smallest_eigenvalue": eigenvalue,

@@ -23,6 +23,8 @@ Area = Annotated[float, Quantity(0.0, 10.0, "m^2")]
 Density = Annotated[float, Quantity(0.0, 2e4, "kg/m^3")]
 Distance = Annotated[float, Quantity(-10.0, 10.0, "m")]
 Place = Annotated[tuple[Distance, Distance], FROM_LIST]
+Coordinate = Annotated[float, Quantity(-1000.0, 1000.0, "m")]
+Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], FROM_LIST]
 Along = Annotated[float, Quantity(0.0, 1000.0, "m")]
 Span = Annotated[tuple[Along, Along], FROM_LIST]
 Tension = Annotated[float, Quantity(0.0, 1e6, "N")]
@@ -34,8 +36,9 @@ Turns = Annotated[float, Quantity(-1000.0, 1000.0)]
 Support = Literal["clamped", "hinged"]
 Nodes = Annotated[int, Field(strict=True, ge=3, le=401)]
 
-PARALLEL = 1e-6
-"""Largest cosine of the angle between tangent and normal of the clamp."""
+ROUNDING = 1e-6
+"""Largest part of a vector along a forbidden direction, divided by the vector's length: of a normal
+along the tangent, and of a force across the direction of sliding. Vectors of a file are rounded."""
 
 PROFILE_COLUMNS = {
     "EI_n": "EI_n_N_m2",
@@ -81,7 +84,7 @@ def _axes(table: Table, tangent: str, normal: str) -> None:
         if not any(getattr(table, name)):
             fail(name, list(getattr(table, name)), "a vector that is not zero")
     t, n = np.array(getattr(table, tangent)), np.array(getattr(table, normal))
-    if abs(t @ n) > PARALLEL * np.linalg.norm(t) * np.linalg.norm(n):
+    if abs(t @ n) > ROUNDING * np.linalg.norm(t) * np.linalg.norm(n):
         fail(normal, n.tolist(), "a vector at a right angle to the tangent")
 
 
@@ -89,7 +92,7 @@ class EndTable(Table):
     """Table [end]: a support that holds the far end of the rod."""
 
     kind: Support
-    position: Vector
+    position: Point
     slides_along: Vector | None = None
     tangent: Vector | None = None
     normal: Vector | None = None
@@ -137,7 +140,8 @@ class _AlongRod(Table):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.span[0] >= self.span[1]:
-            fail("span", list(self.span), "two distances from the clamp, the smaller one first")
+            allowed = "two distances in m from the start of the rod, the smaller one first"
+            fail("span", list(self.span), allowed)
         return self
 
 
@@ -196,7 +200,7 @@ class StaticCaseTable(Table):
             fail("load.moment", list(load.moment), "zero, because the end is clamped")
         force = np.array(load.force)
         across = np.linalg.norm(force - end.sliding @ force)
-        if across > PARALLEL * np.linalg.norm(force):
+        if across > ROUNDING * np.linalg.norm(force):
             allowed = "zero" if end.slides_along is None else "a force along end.slides_along"
             fail("load.force", list(load.force), f"{allowed}, because the support holds the end")
         return self

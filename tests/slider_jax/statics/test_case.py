@@ -261,6 +261,17 @@ class TestHeldEnd:
         np.testing.assert_allclose(found.end_moment[0] * length / B, 98.5415, rtol=5e-4)
         np.testing.assert_allclose(found.end_force[0] * length**2 / B, 2900.993, rtol=5e-4)
 
+    def test_a_rigid_turn_of_a_sliding_rod_is_an_error(self, case):
+        """Two hinges; the end slides across the rod under a force."""
+        x = case(
+            text_of(
+                rod='start = "hinged"\nEA = 1000.0', load="force = [0.0, 1.0, 0.0]", nodes=3,
+                more=end_of("hinged", more="slides_along = [0.0, 1.0, 0.0]"),
+            )
+        )  # fmt: skip
+        with pytest.raises(SolverError, match="as a rigid body.*clamp one end"):
+            solve_equilibrium(x.rod, x.loads, x.end)
+
     @pytest.mark.slow
     def test_an_end_that_cannot_be_reached_is_an_error(self, case):
         """The clamps point away from each other, and the rod is too short to turn back."""
@@ -345,12 +356,20 @@ class TestBadInput:
                 "load.moment: given [0.1, 0.0, 0.0]; allowed zero",
             ),
             ("follower = true", end_of(), "load.follower: given True; allowed false"),
+            ("", end_of(x=1200.0), "end.position.0: given 1200.0; allowed -1000 to 1000 m"),
         ],
     )
     def test_loads_and_a_held_end(self, case, load, end, message):
         with pytest.raises(InputError) as error:
             case(text_of(load=load, more=end))
         assert message in str(error.value)
+
+    def test_a_place_in_millimetres_is_refused_with_EA_too(self, case):
+        message = (
+            r"end.position: given \[368.0, .*; allowed less than 2 x rod.length from the start"
+        )
+        with pytest.raises(InputError, match=message):
+            case(text_of(rod="EA = 1000.0", more=end_of(x=368.0, more="")))
 
     def test_gravity_in_a_fluid_needs_the_area(self, case):
         load = "gravity = [0.0, 0.0, -9.81]\nfluid_density = 1000.0"
