@@ -266,7 +266,8 @@ def close_arm_loop(
     floors = noise_floor_of(runs, start.markers), noise_floor_of(runs, fit.markers)
     statuses = {x.chosen: _status(problem, fit, x) for x in rounds if x.chosen}
     pairs = [(runs.names[i], runs.names[j]) for i, j in repeated_runs(runs)]
-    above = _above_floor(runs, fit, floors[1], len(pairs), settings)
+    last = distances(fit.markers, runs).mean()
+    above = above_floor(last, floors[1], len(runs.names), len(pairs), settings)
     verdict = _verdict(statuses, above)
     return ArmSearch(start, rounds, statuses, verdict, used, left_out, floors, pairs)
 
@@ -308,20 +309,23 @@ def _round(problem: ArmProblem, fit: ArmFit, J, settings, progress) -> ArmRound:
     return ArmRound(scores, least, means, chosen, equivalent, best)
 
 
-def _above_floor(
-    runs: ArmRuns, fit: ArmFit, floor: float | None, pairs: int, settings: SelectionSettings
+def above_floor(
+    distance: float,
+    floor: float | None,
+    runs: int,
+    pairs: int,
+    settings: SelectionSettings = SETTINGS,
 ) -> bool:
-    """Returns whether the residual is above the noise floor; True without a floor.
+    """Returns whether a mean distance [mm] is above the noise floor [mm]; True without a floor.
 
     The mean squares are in the ratio of the squared distances. Few repeated runs determine the
-    floor roughly, so the ratio must also exceed the limit of an F-test of two variances.
+    floor roughly, so the ratio must also exceed the limit of an F-test of two variances. The errors
+    of one run are correlated, so each run and each pair counts as one sample.
     """
     if floor is None:
         return True
-    coordinates = runs.markers[0].size
-    chance = f.isf(CHANCE, coordinates * len(runs.names), coordinates * pairs)
-    ratio = (distances(fit.markers, runs).mean() / floor) ** 2
-    return bool(ratio > max(settings.noise_floor, chance))
+    chance = f.isf(CHANCE, runs, pairs)
+    return bool((distance / floor) ** 2 > max(settings.noise_floor, chance))
 
 
 def _status(problem: ArmProblem, fit: ArmFit, round_: ArmRound) -> str:

@@ -22,6 +22,7 @@ from calibration.tentacle.arm import (
 )
 from calibration.tentacle.candidates import ARM_EFFECTS, candidates_of, effect_values, with_effects
 from calibration.tentacle.close_loop import (
+    above_floor,
     close_arm_loop,
     gain_by_chance,
     noise_floor_of,
@@ -157,6 +158,14 @@ def test_the_floor_is_the_error_that_each_session_has_alone():
     common = np.full((200, 4, 3), 0.02)
     np.testing.assert_allclose(noise_floor_of(runs, common), expected, rtol=0.05)
     assert noise_floor_of(runs._replace(sessions=("",) * 200), runs.markers) is None
+
+
+def test_few_pairs_determine_the_floor_roughly():
+    """Limits of the F-test at 5 %: F(14, 2) is 19.4, F(14, 1000) is 1.70 (published tables)."""
+    for pairs, limit in ((2, 19.42), (1000, 1.702)):
+        assert not above_floor(0.99 * limit**0.5, 1.0, 14, pairs)
+        assert above_floor(1.01 * limit**0.5, 1.0, 14, pairs)
+    assert above_floor(1.0, None, 14, 0)
 
 
 def test_effects_at_their_nulls_change_nothing_and_each_parameter_changes_something():
