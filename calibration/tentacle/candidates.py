@@ -88,3 +88,12 @@ def effect_values(
             elif session not in known:
                 values[run, candidate.column] += candidate.share * value
     return jnp.asarray(values)
+
+
+def strains_act(values: Float[Array, "runs parameters"]) -> bool:
+    """Returns whether an effect that depends on the strains acts in a run."""
+    columns = [(effect, field) for effect in ARM_EFFECTS for field in fields(effect)]
+    return any(
+        effect.uses_strains and bool(np.any(column != field.metadata["prior"].null))
+        for (effect, field), column in zip(columns, np.asarray(values).T, strict=True)
+    )

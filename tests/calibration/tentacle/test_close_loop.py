@@ -180,6 +180,25 @@ def test_effects_at_their_nulls_change_nothing_and_each_parameter_changes_someth
         assert not eqx.tree_equal(parts, changed, rtol=1e-7, atol=1e-9), i
 
 
+@pytest.mark.parametrize(
+    "name, value", [("capstan_friction.mu", 0.3), ("strain_stiffening.growth", 20.0)]
+)
+def test_the_first_guess_changes_no_marker(name, value):
+    """Shapes from the unloaded arm and from another arm agree to 1e-8 m, and so do derivatives."""
+    cold, theta = measured({name: value})
+    warm = ArmProblem(cold.runs, cold.candidates, light_arms)
+    warm.markers(np.concatenate([2.0 * TRUE, theta[2:]]))
+    cold = ArmProblem(cold.runs, cold.candidates, light_arms)
+    expected = cold.markers(theta)
+    np.testing.assert_allclose(warm.markers(theta), expected, atol=1e-8)
+    step = np.eye(len(theta))[0] * 1e-3 * theta[0]
+    ahead, behind = (cold.markers(theta + sign * step) for sign in (1.0, -1.0))
+    slope = (ahead - behind) / (2.0 * step[0])
+    np.testing.assert_allclose(
+        warm.slopes(theta, [0])[0], slope, atol=5e-3 * np.abs(slope).max()
+    )
+
+
 def test_effects_of_a_session_act_in_its_runs_only():
     candidates = candidates_of(("A", "B"))
     theta = np.zeros(len(candidates))
@@ -198,6 +217,7 @@ def test_offset_friction_and_place_of_the_tendons():
     parts = arm_parts(ArmParameters(), jnp.array([2.0, 0.0]), strains)
     tensions = [float(x.tension) for x in TensionOffset(both=0.3, tendon_1=0.1).on(parts).tendons]
     np.testing.assert_allclose(tensions, [1.6, 0.0])
+    assert TensionOffset(both=3.0).on(parts).tendons[0].tension == 0.0
     loss = CapstanFriction(mu=0.2).on(parts).tendons[0].share[:20] / parts.tendons[0].share[:20]
     np.testing.assert_allclose(loss, np.exp(-0.2 * 4.0 * parts.rod.s[:20]), rtol=1e-9)
     moved = TendonPlace(at_base=1e-3, at_end=1e-3, angle=0.1).on(parts).tendons
