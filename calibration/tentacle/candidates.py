@@ -13,13 +13,13 @@ from calibration.tentacle.arm import ArmParts
 from calibration.tentacle.effects.base import AbstractArmEffect
 from calibration.tentacle.effects.base_place import BasePlace
 from calibration.tentacle.effects.base_tilt import BaseTilt
-from calibration.tentacle.effects.initial_curvature import InitialBend
+from calibration.tentacle.effects.capstan_friction import CapstanFriction
+from calibration.tentacle.effects.initial_bend import InitialBend
 from calibration.tentacle.effects.marker_mass import MarkerMass
 from calibration.tentacle.effects.marker_place import MarkerPlace
 from calibration.tentacle.effects.modulus_profile import ModulusProfile
 from calibration.tentacle.effects.section_stiffness import SectionStiffness
-from calibration.tentacle.effects.stiffening import StrainStiffening
-from calibration.tentacle.effects.tendon_friction import CapstanFriction
+from calibration.tentacle.effects.strain_stiffening import StrainStiffening
 from calibration.tentacle.effects.tendon_place import TendonPlace
 from calibration.tentacle.effects.tension_gain import TensionGain
 from calibration.tentacle.effects.tension_offset import TensionOffset

@@ -101,8 +101,8 @@ class ArmProblem:
             strains = found.strains
             found = self._found(base, values, strains)
         raise SolverError(
-            f"the shape of the arm and the effects of its strains do not agree after {MOST_REPEATS} "
-            "repetitions; the effects may be too large"
+            f"the shape of the arm still changes after {MOST_REPEATS} repetitions; the effects of "
+            "its strains may be too large"
         )
 
     def markers(self, theta: np.ndarray, keep: bool = True) -> np.ndarray:
@@ -139,7 +139,7 @@ class ArmProblem:
         found = np.zeros((len(theta), *middle.shape))
         known: dict[int, np.ndarray] = {}
         for i in range(len(theta)) if chosen is None else chosen:
-            candidate = self.candidates[i - 2] if i > 1 else None
+            candidate = self.candidates[i - len(BASE)] if i >= len(BASE) else None
             acts = np.ones(len(self.runs.names), bool)
             if candidate and candidate.session:
                 acts = np.array([x == candidate.session for x in self.runs.sessions])
@@ -158,7 +158,7 @@ class ArmProblem:
 
     def _everywhere(self, candidate: Candidate) -> int:
         columns = [x.column for x in self.candidates]
-        return 2 + columns.index(candidate.column)
+        return len(BASE) + columns.index(candidate.column)
 
 
 class ArmFit(NamedTuple):
@@ -176,15 +176,15 @@ def fit_arm(
     theta: np.ndarray,
     free: Sequence[int],
     slopes: np.ndarray | None = None,
-    left_out: int | None = None,
+    held_out: int | None = None,
 ) -> ArmFit:
     """Returns the parameters `free` with the least mean square distance of the markers.
 
     The steps use the derivatives `slopes` (default: new derivatives for each step), and the run
-    `left_out` has no weight. Raises `SolverError` if no shape is found.
+    `held_out` has no weight. Raises `SolverError` if no shape is found.
     """
     free = tuple(free)
-    used = np.arange(len(problem.runs.names)) != (-1 if left_out is None else left_out)
+    used = np.arange(len(problem.runs.names)) != (-1 if held_out is None else held_out)
 
     def square(markers):
         return float(np.sum((markers - problem.runs.markers)[used] ** 2))

@@ -29,7 +29,7 @@ from calibration.tentacle.close_loop import (
     repeated_runs,
     search_record,
 )
-from calibration.tentacle.effects.tendon_friction import CapstanFriction
+from calibration.tentacle.effects.capstan_friction import CapstanFriction
 from calibration.tentacle.effects.tendon_place import TendonPlace
 from calibration.tentacle.effects.tension_offset import TensionOffset
 from calibration.tentacle.fit import ArmProblem, fit_arm
@@ -101,7 +101,7 @@ def test_an_effect_in_the_data_is_found_alone(name, value):
     assert search.statuses[first.chosen] in (IDENTIFIED, CLASS)
     assert [x.chosen for x in search.rounds[1:]] == [None]
     assert search.used.free == first.fit.free
-    assert search.left_out_mm["predictions"] < search.left_out_mm["base"]
+    assert search.held_out_mm["predictions"] < search.held_out_mm["base"]
     assert search.verdict == search.statuses[first.chosen]
     if first.chosen == name:
         i = problem.names.index(name)
@@ -194,9 +194,7 @@ def test_the_first_guess_changes_no_marker(name, value):
     step = np.eye(len(theta))[0] * 1e-3 * theta[0]
     ahead, behind = (cold.markers(theta + sign * step) for sign in (1.0, -1.0))
     slope = (ahead - behind) / (2.0 * step[0])
-    np.testing.assert_allclose(
-        warm.slopes(theta, [0])[0], slope, atol=5e-3 * np.abs(slope).max()
-    )
+    np.testing.assert_allclose(warm.slopes(theta, [0])[0], slope, atol=5e-3 * np.abs(slope).max())
 
 
 def test_effects_of_a_session_act_in_its_runs_only():
@@ -229,9 +227,9 @@ def test_offset_friction_and_place_of_the_tendons():
         np.testing.assert_allclose(along, np.asarray(after.offset_slope)[:19], rtol=1e-9)
 
 
-def test_a_left_out_run_has_no_influence_on_the_fit():
+def test_a_held_out_run_has_no_influence_on_the_fit():
     problem, _ = measured({})
-    fit = fit_arm(problem, problem.stated, (0, 1), left_out=3)
+    fit = fit_arm(problem, problem.stated, (0, 1), held_out=3)
     problem.runs.markers[3] += 0.1
-    again = fit_arm(problem, problem.stated, (0, 1), left_out=3)
+    again = fit_arm(problem, problem.stated, (0, 1), held_out=3)
     np.testing.assert_allclose(again.theta, fit.theta, rtol=1e-6)
