@@ -36,7 +36,7 @@ STEP = 1e-3
 """Step of the finite differences, as a fraction of the size of a change."""
 MOST_STEPS, MOST_HALVINGS = 12, 5
 """Most steps of a fit, and most halvings of a step that fails or does not lower the error."""
-MOST_REPEATS, LARGEST_CHANGE = 40, 1e-6 / LENGTH
+MOST_REPEATS, LARGEST_CHANGE = 20, 1e-6 / LENGTH
 """Most repetitions of a shape for the effects that depend on the strains, and the largest change of
 a strain in the last one."""
 LEAST_DECREASE = 1e-4
