@@ -16,7 +16,7 @@ from pathlib import Path
 
 from calibration.tentacle.candidates import candidates_of
 from calibration.tentacle.close_loop import ArmSearch, close_arm_loop, search_record
-from calibration.tentacle.fit import ArmFit, ArmProblem, distances, prediction_record_of_arm
+from calibration.tentacle.fit import BASE, ArmFit, ArmProblem, distances, prediction_record_of_arm
 from calibration.tentacle.runs import ArmRuns, read_arm_runs
 from slider_jax.errors import InputError, SolverError
 from slider_jax.io.files import input_file, provenance, staged, write_json
@@ -28,7 +28,10 @@ def known_runs() -> Path:
     home = Path(os.environ.get("SLIDER_DATA") or Path(__file__).parents[2] / "shared" / "data")
     path = home / "tentacle" / "markers.csv"
     if not path.is_file():
-        raise InputError(f"{path}: no such file; set SLIDER_DATA to the folder with tentacle")
+        raise InputError(
+            f"{path}: no such file; set the environment variable SLIDER_DATA to the folder that "
+            "contains tentacle/markers.csv"
+        )
     return path
 
 
@@ -42,10 +45,10 @@ def table(search: ArmSearch, most: int = 8) -> list[str]:
     for number, round_ in enumerate(search.rounds, start=1):
         lines += [
             f"round {number}: a candidate needs a gain above {round_.least_gain:.1f}",
-            f"  {'candidate':38s}{'gain':>7s}{'all runs':>12s}{'left out':>12s}  confirmed",
+            f"  {'candidate':38s}{'gain':>7s}{'all runs':>12s}{'held out':>12s}  confirmed",
         ]
         lines += [
-            f"  {x.score.name:38s}{x.score.gain:7.1f}{x.seen_mm:9.2f} mm{x.left_out_mm:9.2f} mm"
+            f"  {x.score.name:38s}{x.score.gain:7.1f}{x.seen_mm:9.2f} mm{x.held_out_mm:9.2f} mm"
             f"  {'yes' if x.agreed else 'no'}"
             for x in round_.scores[:most]
         ]
@@ -54,9 +57,9 @@ def table(search: ArmSearch, most: int = 8) -> list[str]:
     lines.append(f"verdict: {search.verdict}")
     lines += [f"  {name}: {status}" for name, status in search.statuses.items()]
     lines += [
-        f"mean distance in left-out runs: {search.left_out_mm['base']:.2f} mm with the base "
-        f"parameters, {search.left_out_mm['predictions']:.2f} mm with the effects, "
-        f"{search.left_out_mm['selection']:.2f} mm if the other runs also select the effects"
+        f"mean distance in held-out runs: {search.held_out_mm['base']:.2f} mm with the base "
+        f"parameters, {search.held_out_mm['predictions']:.2f} mm with the effects, "
+        f"{search.held_out_mm['selection']:.2f} mm if the other runs also select the effects"
     ]
     before, after = search.floors_mm
     if before is not None and after is not None:
@@ -67,10 +70,11 @@ def table(search: ArmSearch, most: int = 8) -> list[str]:
     return lines
 
 
-def sessions_known(fit: ArmFit, problem: ArmProblem, runs: ArmRuns, known: ArmRuns) -> bool:
+def session_effects_apply(fit: ArmFit, problem: ArmProblem, runs: ArmRuns) -> bool:
     """Returns whether an effect of a session, if the model has one, applies to all runs."""
-    sessions = {problem.candidates[i - 2].session for i in fit.free if i > 1} - {""}
-    return not sessions or set(runs.sessions) <= set(known.sessions)
+    fitted = {problem.candidates[i - len(BASE)].session for i in fit.free if i >= len(BASE)}
+    known = {x.session for x in problem.candidates} - {""}
+    return fitted <= {""} or set(runs.sessions) <= known
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -83,26 +87,29 @@ def main(argv: list[str] | None = None) -> int:
     try:
         runs, known = read_arm_runs(given.markers), read_arm_runs(known_runs())
         problem = ArmProblem(known, candidates_of(known.sessions))
-        search = close_arm_loop(problem, progress)
-        models = {
-            "stated values": ArmFit(problem.stated, (), problem.markers(problem.stated)),
-            "E and density fitted": search.start,
-            "with the effects": search.used,
-        }
-        if not sessions_known(search.used, problem, runs, known):
-            progress("warning: runs of an unknown session have the mean effect of the sessions")
         target = ArmProblem(runs, problem.candidates)
         with staged(given.out) as stage:
+            target.markers(problem.stated)  # an invalid run causes its error before the search
+            search = close_arm_loop(problem, progress)
+            if not session_effects_apply(search.used, problem, runs):
+                progress(
+                    "warning: runs without a known session have the mean effect of the sessions"
+                )
+            models = {
+                "stated values": (problem.stated, ()),
+                "E and density fitted": (search.start.theta, search.start.free),
+                "with the effects": (search.used.theta, search.used.free),
+            }
             result = {}
-            for title, fit in models.items():
-                markers = target.markers(fit.theta)
-                off = distances(markers, runs)
+            for title, (theta, free) in models.items():
+                off = distances(target.markers(theta), runs)
                 result[title] = {
-                    "fitted": {problem.names[i]: float(fit.theta[i]) for i in fit.free},
+                    "fitted": {problem.names[i]: float(theta[i]) for i in free},
                     "mean_distance_mm": float(off.mean()),
                     "mean_distance_of_each_marker_mm": off.mean(axis=0).tolist(),
                 }  # fmt: skip
-            write_json(stage / "predictions.json", prediction_record_of_arm(markers, runs))
+            record = prediction_record_of_arm(target.markers(search.used.theta), runs)
+            write_json(stage / "predictions.json", record)
             write_json(stage / "close_loop.json", search_record(problem, search))
             sources = [input_file(given.markers), input_file(known_runs())]
             write_json(stage / "result.json", {"models": result, "input": sources} | provenance())

@@ -129,11 +129,6 @@ def arm_shape(
     return ArmShape(_markers(found, parts.offsets) + parts.base, found.strains, found.ok)
 
 
-def arm_under(parameters: ArmParameters, tensions: Float[Array, "2"]) -> ArmShape:
-    """Returns the shape of the stated arm under two tensions [N] and its weight."""
-    return arm_shape(arm_parts(parameters, tensions, jnp.zeros((POINTS, 4))), INCREMENTS)
-
-
 def _markers(found: RodEquilibrium, offsets: Float[Array, "4 3"]) -> Float[Array, "4 3"]:
     turned = jnp.einsum("kij,kj->ki", found.shape.frame[MARKER_NODES], offsets)
     return found.shape.position[MARKER_NODES] + turned

@@ -13,13 +13,13 @@ from calibration.tentacle.arm import ArmParts
 from calibration.tentacle.effects.base import AbstractArmEffect
 from calibration.tentacle.effects.base_place import BasePlace
 from calibration.tentacle.effects.base_tilt import BaseTilt
-from calibration.tentacle.effects.initial_curvature import InitialBend
+from calibration.tentacle.effects.capstan_friction import CapstanFriction
+from calibration.tentacle.effects.initial_bend import InitialBend
 from calibration.tentacle.effects.marker_mass import MarkerMass
 from calibration.tentacle.effects.marker_place import MarkerPlace
 from calibration.tentacle.effects.modulus_profile import ModulusProfile
 from calibration.tentacle.effects.section_stiffness import SectionStiffness
-from calibration.tentacle.effects.stiffening import StrainStiffening
-from calibration.tentacle.effects.tendon_friction import CapstanFriction
+from calibration.tentacle.effects.strain_stiffening import StrainStiffening
 from calibration.tentacle.effects.tendon_place import TendonPlace
 from calibration.tentacle.effects.tension_gain import TensionGain
 from calibration.tentacle.effects.tension_offset import TensionOffset
@@ -88,3 +88,12 @@ def effect_values(
             elif session not in known:
                 values[run, candidate.column] += candidate.share * value
     return jnp.asarray(values)
+
+
+def strains_act(values: Float[Array, "runs parameters"]) -> bool:
+    """Returns whether an effect that depends on the strains acts in a run."""
+    columns = [(effect, field) for effect in ARM_EFFECTS for field in fields(effect)]
+    return any(
+        effect.uses_strains and bool(np.any(column != field.metadata["prior"].null))
+        for (effect, field), column in zip(columns, np.asarray(values).T, strict=True)
+    )

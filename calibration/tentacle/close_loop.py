@@ -26,7 +26,7 @@ from calibration.discrepancy.verdict import (
 )
 from calibration.inference.gauss_newton import inverse
 from calibration.inference.problem import ChannelBlock, normal_equations, summed
-from calibration.tentacle.fit import BASE, ArmFit, ArmProblem, distances, fit_arm
+from calibration.tentacle.fit import BASE, BASE_UNITS, ArmFit, ArmProblem, distances, fit_arm
 from calibration.tentacle.runs import ArmRuns
 
 MOST_FITTED = 4
@@ -47,8 +47,8 @@ class ArmScore(NamedTuple):
     agreed: bool
     """Whether cross-validation confirms the candidate."""
     seen_mm: float
-    left_out_mm: float
-    """Mean distance [mm] in all runs and in left-out runs, with the candidate (linearised)."""
+    held_out_mm: float
+    """Mean distance [mm] in all runs and in held-out runs, with the candidate (linearised)."""
 
 
 class ArmRound(NamedTuple):
@@ -78,8 +78,9 @@ class ArmSearch(NamedTuple):
     verdict: str
     used: ArmFit
     """The model that makes the predictions."""
-    left_out_mm: dict[str, float]
-    """Mean distance [mm] of left-out runs."""
+    held_out_mm: dict[str, float]
+    """Mean distance [mm] of held-out runs: `base` with the base parameters, `predictions` with the
+    parameters of `used`, `selection` if the other runs also select the effects."""
     floors_mm: tuple[float | None, float | None]
     """Noise floors from repeated runs, with the base parameters and with all added effects. None
     without repeated runs."""
@@ -145,13 +146,14 @@ def _scored(
     return sorted(scores, key=lambda s: -s.gain)
 
 
-def _passes(s: Score, least: float, settings: SelectionSettings) -> bool:
-    """Returns whether a candidate exceeds the naming threshold and cross-validation confirms it."""
-    return (
-        s.gain > least
-        and s.p < settings.false_alarm_p
-        and agreement(s.left_out, s.held_gains).agreed(settings)
-    )
+def _agreed(s: Score, settings: SelectionSettings) -> bool:
+    """Returns whether cross-validation confirms a candidate."""
+    return agreement(s.left_out, s.held_gains).agreed(settings)
+
+
+def _exceeds(s: Score, least: float, settings: SelectionSettings) -> bool:
+    """Returns whether a candidate exceeds the naming threshold."""
+    return s.gain > least and s.p < settings.false_alarm_p
 
 
 def _least_gain(blocks, free, many, settings: SelectionSettings) -> float:
@@ -161,7 +163,7 @@ def _least_gain(blocks, free, many, settings: SelectionSettings) -> float:
 def _linear_distances(
     problem: ArmProblem, markers, J, blocks: Sequence[ChannelBlock], free
 ) -> tuple[float, float]:
-    """Returns mean distances [mm] in all runs and in left-out runs after linear steps of `free`."""
+    """Returns mean distances [mm] in all runs and in held-out runs after linear steps of `free`."""
     off, own = problem.runs.markers - markers, np.array(free)
 
     def after(chosen, i=None):
@@ -175,20 +177,21 @@ def _linear_distances(
     return float(after(blocks)), float(np.mean(out))
 
 
-def _left_out_selection(problem: ArmProblem, markers, J, settings: SelectionSettings) -> float:
-    """Returns the mean distance [mm] of left-out runs if the other runs also select the effects.
+def _held_out_selection(problem: ArmProblem, markers, J, settings: SelectionSettings) -> float:
+    """Returns the mean distance [mm] of held-out runs if the other runs also select the effects.
 
     Scores and fits are linearised at the fit of the base parameters.
     """
     blocks, errors = _blocks(problem, markers, J), []
     for i in range(len(problem.runs.names)):
         others = [x for x in blocks if x.trial != i]
-        free = [0, 1]
+        free = list(range(len(BASE)))
         while len(free) < MOST_FITTED:
-            many = [k for k in range(2, len(J)) if k not in free]
+            many = [k for k in range(len(BASE), len(J)) if k not in free]
             least = _least_gain(others, free, many, settings)
             found = _scored(others, free, many, problem.names, settings)
-            chosen = next((s.name for s in found if _passes(s, least, settings)), None)
+            exceeding = (s for s in found if _exceeds(s, least, settings))
+            chosen = next((s.name for s in exceeding if _agreed(s, settings)), None)
             if chosen is None:
                 break
             free.append(problem.names.index(chosen))
@@ -198,11 +201,11 @@ def _left_out_selection(problem: ArmProblem, markers, J, settings: SelectionSett
     return float(np.mean(errors))
 
 
-def left_out_distance(problem: ArmProblem, fit: ArmFit, slopes: np.ndarray) -> float:
+def held_out_distance(problem: ArmProblem, fit: ArmFit, slopes: np.ndarray) -> float:
     """Returns the mean distance [mm] of each run with the parameters fitted to all other runs."""
     errors = []
     for i in range(len(problem.runs.names)):
-        found = fit_arm(problem, fit.theta, fit.free, slopes, left_out=i)
+        found = fit_arm(problem, fit.theta, fit.free, slopes, held_out=i)
         errors.append(distances(found.markers, problem.runs)[i].mean())
     problem.markers(fit.theta)
     return float(np.mean(errors))
@@ -242,20 +245,20 @@ def close_arm_loop(
     start = fit = fit_arm(problem, problem.stated, tuple(range(len(BASE))))
     progress(f"base parameters: {distances(fit.markers, runs).mean():.2f} mm")
     rounds: list[ArmRound] = []
-    left_out: dict[str, float] = {}
+    held_out: dict[str, float] = {}
     used = start
     while True:
         J = problem.slopes(fit.theta)
         seen = distances(fit.markers, runs).mean()
         if not rounds:
-            left_out["base"] = left_out_distance(problem, fit, J)
-            left_out["selection"] = _left_out_selection(problem, fit.markers, J, settings)
-            left_out["predictions"] = left_out["base"]
+            held_out["base"] = held_out_distance(problem, fit, J)
+            held_out["selection"] = _held_out_selection(problem, fit.markers, J, settings)
+            held_out["predictions"] = held_out["base"]
         elif len(fit.free) <= MOST_FITTED:
-            found = left_out_distance(problem, fit, J)
-            progress(f"  mean distance {seen:.2f} mm, in left-out runs {found:.2f} mm")
-            if found < left_out["predictions"]:
-                used, left_out["predictions"] = fit, found
+            found = held_out_distance(problem, fit, J)
+            progress(f"  mean distance {seen:.2f} mm, in held-out runs {found:.2f} mm")
+            if found < held_out["predictions"]:
+                used, held_out["predictions"] = fit, found
         if len(rounds) == settings.max_effects:
             break
         round_ = _round(problem, fit, J, settings, progress)
@@ -266,9 +269,10 @@ def close_arm_loop(
     floors = noise_floor_of(runs, start.markers), noise_floor_of(runs, fit.markers)
     statuses = {x.chosen: _status(problem, fit, x) for x in rounds if x.chosen}
     pairs = [(runs.names[i], runs.names[j]) for i, j in repeated_runs(runs)]
-    above = _above_floor(runs, fit, floors[1], len(pairs), settings)
+    last = distances(fit.markers, runs).mean()
+    above = above_floor(last, floors[1], len(runs.names), len(pairs), settings)
     verdict = _verdict(statuses, above)
-    return ArmSearch(start, rounds, statuses, verdict, used, left_out, floors, pairs)
+    return ArmSearch(start, rounds, statuses, verdict, used, held_out, floors, pairs)
 
 
 def _round(problem: ArmProblem, fit: ArmFit, J, settings, progress) -> ArmRound:
@@ -279,10 +283,9 @@ def _round(problem: ArmProblem, fit: ArmFit, J, settings, progress) -> ArmRound:
     scores = []
     for s in _scored(blocks, free, many, names, settings):
         both = [*free, names.index(s.name)]
-        seen, left_out = _linear_distances(problem, fit.markers, J, blocks, both)
-        agreed = agreement(s.left_out, s.held_gains).agreed(settings)
-        scores.append(ArmScore(s, agreed, seen, left_out))
-    passed = [x.score for x in scores if _passes(x.score, least, settings)]
+        seen, held_out = _linear_distances(problem, fit.markers, J, blocks, both)
+        scores.append(ArmScore(s, _agreed(s, settings), seen, held_out))
+    passed = [x.score for x in scores if x.agreed and _exceeds(x.score, least, settings)]
     refits: dict[str, ArmFit] = {}
     for s in passed[: settings.short_list]:
         refits[s.name] = fit_arm(problem, fit.theta, [*free, names.index(s.name)], J)
@@ -308,20 +311,23 @@ def _round(problem: ArmProblem, fit: ArmFit, J, settings, progress) -> ArmRound:
     return ArmRound(scores, least, means, chosen, equivalent, best)
 
 
-def _above_floor(
-    runs: ArmRuns, fit: ArmFit, floor: float | None, pairs: int, settings: SelectionSettings
+def above_floor(
+    distance: float,
+    floor: float | None,
+    runs: int,
+    pairs: int,
+    settings: SelectionSettings = SETTINGS,
 ) -> bool:
-    """Returns whether the residual is above the noise floor; True without a floor.
+    """Returns whether a mean distance [mm] is above the noise floor [mm]; True without a floor.
 
     The mean squares are in the ratio of the squared distances. Few repeated runs determine the
-    floor roughly, so the ratio must also exceed the limit of an F-test of two variances.
+    floor roughly, so the ratio must also exceed the limit of an F-test of two variances. The errors
+    of one run are correlated, so each run and each pair counts as one sample.
     """
     if floor is None:
         return True
-    coordinates = runs.markers[0].size
-    chance = f.isf(CHANCE, coordinates * len(runs.names), coordinates * pairs)
-    ratio = (distances(fit.markers, runs).mean() / floor) ** 2
-    return bool(ratio > max(settings.noise_floor, chance))
+    chance = f.isf(CHANCE, runs, pairs)
+    return bool((distance / floor) ** 2 > max(settings.noise_floor, chance))
 
 
 def _status(problem: ArmProblem, fit: ArmFit, round_: ArmRound) -> str:
@@ -342,7 +348,8 @@ def _verdict(statuses: dict[str, str], above: bool) -> str:
 
 def search_record(problem: ArmProblem, search: ArmSearch) -> dict[str, Any]:
     """Returns the content of close_loop.json."""
-    units = {x.name: x.prior.unit for x in problem.candidates} | {"E": "Pa", "density": "kg/m^3"}
+    units = dict(zip(BASE, BASE_UNITS, strict=True))
+    units |= {x.name: x.prior.unit for x in problem.candidates}
 
     def fitted(fit: ArmFit):
         return {
@@ -362,7 +369,7 @@ def search_record(problem: ArmProblem, search: ArmSearch) -> dict[str, Any]:
             "predictions": seen(search.used),
             "all_added_effects": seen(last),
         },
-        "mean_distance_of_left_out_runs_mm": search.left_out_mm,
+        "mean_distance_of_held_out_runs_mm": search.held_out_mm,
         "noise_floor_mm": dict(zip(("base", "all_added_effects"), search.floors_mm, strict=True)),
         "repeated_runs": search.pairs,
         "base": fitted(search.start),
@@ -380,7 +387,7 @@ def search_record(problem: ArmProblem, search: ArmSearch) -> dict[str, Any]:
                         "gain": y.score.gain,
                         "agreed": y.agreed,
                         "mean_distance_mm": y.seen_mm,
-                        "left_out_mean_distance_mm": y.left_out_mm,
+                        "held_out_mean_distance_mm": y.held_out_mm,
                     }
                     for y in x.scores
                 ],

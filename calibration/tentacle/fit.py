@@ -16,13 +16,14 @@ from jaxtyping import Array, Float
 
 from calibration.tentacle.arm import (
     INCREMENTS,
+    LENGTH,
     POINTS,
     ArmParameters,
     ArmShape,
     arm_parts,
     arm_shape,
 )
-from calibration.tentacle.candidates import Candidate, effect_values, with_effects
+from calibration.tentacle.candidates import Candidate, effect_values, strains_act, with_effects
 from calibration.tentacle.runs import ArmRuns
 from slider_jax.errors import SolverError
 
@@ -35,6 +36,9 @@ STEP = 1e-3
 """Step of the finite differences, as a fraction of the size of a change."""
 MOST_STEPS, MOST_HALVINGS = 12, 5
 """Most steps of a fit, and most halvings of a step that fails or does not lower the error."""
+MOST_REPEATS, LARGEST_CHANGE = 20, 1e-6 / LENGTH
+"""Most repetitions of a shape for the effects that depend on the strains, and the largest change of
+a strain in the last one."""
 LEAST_DECREASE = 1e-4
 """A fit ends if a step lowers the sum of squares by less than this fraction."""
 
@@ -65,7 +69,8 @@ def shapes_of_arms(
 class ArmProblem:
     """Measured runs, candidates, and a simulation that predicts the markers.
 
-    Each shape is the first guess for the next one. This changes the iterations, not the result.
+    Each shape is the first guess for the next one. This changes the iterations, not the result:
+    with effects that depend on the strains, a shape is computed again until its strains agree.
     """
 
     def __init__(
@@ -84,23 +89,37 @@ class ArmProblem:
         self._tensions = jnp.asarray(runs.tensions)
         self._strains: Array | None = None
 
-    def _found(self, theta: np.ndarray, strains: Array, share: float = 1.0) -> ArmShape:
-        values = effect_values(theta[2:], self.candidates, self.runs.sessions)
-        base = jnp.asarray(theta[:2])
+    def _found(self, base: Array, values: Array, strains: Array, share: float = 1.0) -> ArmShape:
         return self._shapes(base, values, self._tensions, strains, jnp.asarray(share))
+
+    def _repeated(self, base: Array, values: Array, strains: Array, found: ArmShape) -> ArmShape:
+        """Repeats shapes until they agree with the strains that their effects use."""
+        for _ in range(MOST_REPEATS):
+            # A shape that was not found may have strains that are not numbers.
+            if not jnp.max(jnp.abs(found.strains - strains)) > LARGEST_CHANGE:
+                return found
+            strains = found.strains
+            found = self._found(base, values, strains)
+        raise SolverError(
+            f"the shape of the arm still changes after {MOST_REPEATS} repetitions; the effects of "
+            "its strains may be too large"
+        )
 
     def markers(self, theta: np.ndarray, keep: bool = True) -> np.ndarray:
         """Returns the markers (runs, 4, 3) [m]. `keep`: later shapes start from these shapes.
 
         Raises `SolverError` if a shape is not found.
         """
+        values = effect_values(theta[len(BASE) :], self.candidates, self.runs.sessions)
+        base = jnp.asarray(theta[: len(BASE)])
         strains = self._strains
         if strains is None:
             strains = jnp.zeros((len(self.runs.names), POINTS, 4))
-            # The full load is repeated for the effects that depend on the latest strains.
-            for share in (*np.arange(1, INCREMENTS) / INCREMENTS, 1.0, 1.0):
-                strains = self._found(theta, strains, share).strains
-        found = self._found(theta, strains)
+            for share in np.arange(1, INCREMENTS + 1) / INCREMENTS:
+                strains = self._found(base, values, strains, share).strains
+        found = self._found(base, values, strains)
+        if strains_act(values):
+            found = self._repeated(base, values, strains, found)
         for name, ok in zip(self.runs.names, np.asarray(found.ok), strict=True):
             if not ok:
                 raise SolverError(
@@ -113,13 +132,14 @@ class ArmProblem:
     def slopes(self, theta: np.ndarray, chosen: Sequence[int] | None = None) -> np.ndarray:
         """Returns derivatives (parameters, runs, 4, 3) of the markers, from finite differences.
 
-        Only the rows `chosen` are computed (default: all); the other rows are 0.
+        They include the change of the strains that effects use. Only the rows `chosen` are
+        computed (default: all); the other rows are 0.
         """
         middle = self.markers(theta)
         found = np.zeros((len(theta), *middle.shape))
         known: dict[int, np.ndarray] = {}
         for i in range(len(theta)) if chosen is None else chosen:
-            candidate = self.candidates[i - 2] if i > 1 else None
+            candidate = self.candidates[i - len(BASE)] if i >= len(BASE) else None
             acts = np.ones(len(self.runs.names), bool)
             if candidate and candidate.session:
                 acts = np.array([x == candidate.session for x in self.runs.sessions])
@@ -138,7 +158,7 @@ class ArmProblem:
 
     def _everywhere(self, candidate: Candidate) -> int:
         columns = [x.column for x in self.candidates]
-        return 2 + columns.index(candidate.column)
+        return len(BASE) + columns.index(candidate.column)
 
 
 class ArmFit(NamedTuple):
@@ -156,15 +176,15 @@ def fit_arm(
     theta: np.ndarray,
     free: Sequence[int],
     slopes: np.ndarray | None = None,
-    left_out: int | None = None,
+    held_out: int | None = None,
 ) -> ArmFit:
     """Returns the parameters `free` with the least mean square distance of the markers.
 
     The steps use the derivatives `slopes` (default: new derivatives for each step), and the run
-    `left_out` has no weight. Raises `SolverError` if no shape is found.
+    `held_out` has no weight. Raises `SolverError` if no shape is found.
     """
     free = tuple(free)
-    used = np.arange(len(problem.runs.names)) != (-1 if left_out is None else left_out)
+    used = np.arange(len(problem.runs.names)) != (-1 if held_out is None else held_out)
 
     def square(markers):
         return float(np.sum((markers - problem.runs.markers)[used] ** 2))

@@ -49,6 +49,9 @@ def read_arm_runs(path: Path) -> ArmRuns:
     if repeated:
         raise InputError(f"{path}: the run {repeated[0]} has two rows; remove one")
     sessions = tuple(row.get("session") or "" for row in rows)
+    if any(sessions) and not all(sessions):
+        where = f"{path}, line {sessions.index('') + 2}, column session"
+        raise InputError.value(where, "nothing", "a name in every row, or no column session")
     return ArmRuns(tuple(names), values[:, :2], values[:, 2:].reshape(-1, 4, 3), sessions)
 
 

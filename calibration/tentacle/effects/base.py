@@ -17,6 +17,8 @@ class AbstractArmEffect(eqx.Module):
 
     by_session: ClassVar[bool] = False
     """Whether a new set-up of the experiment can change the parameters."""
+    uses_strains: ClassVar[bool] = False
+    """Whether the effect depends on the strains of the arm."""
 
     @abstractmethod
     def on(self, parts: ArmParts) -> ArmParts:

@@ -11,7 +11,7 @@ from slider_jax.effects.base import parameter
 
 
 class MarkerMass(AbstractArmEffect):
-    """The markers have masses. They act on the axis, in the half cells before the markers."""
+    """The markers have masses; each acts on the axis, at the last Gauss point before its marker."""
 
     marker_1: float = parameter(0.0, 0.0, 0.01, "kg", "a marker with its holder weighs a few grams")
     marker_2: float = parameter(0.0, 0.0, 0.01, "kg", "a marker with its holder weighs a few grams")

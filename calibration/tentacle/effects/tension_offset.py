@@ -14,7 +14,7 @@ class TensionOffset(AbstractArmEffect):
     """The tension of a pulled tendon is the stated tension minus an offset.
 
     Dry friction of the pulley, slack of the tendon and a wrong zero of the load cell have this
-    effect.
+    effect. A tendon cannot push.
     """
 
     by_session: ClassVar[bool] = True
@@ -24,10 +24,11 @@ class TensionOffset(AbstractArmEffect):
 
     def on(self, parts: ArmParts) -> ArmParts:
         lost = self.both + self.tendon_1, self.both + self.tendon_2
+        tendons = zip(parts.tendons, lost, strict=True)
         return replace(
-            parts,
-            tendons=tuple(
-                replace(x, tension=jnp.where(x.tension > 0.0, x.tension - off, 0.0))
-                for x, off in zip(parts.tendons, lost, strict=True)
-            ),
+            parts, tendons=tuple(replace(x, tension=_left(x.tension, off)) for x, off in tendons)
         )
+
+
+def _left(tension, lost):
+    return jnp.where(tension > 0.0, jnp.maximum(tension - lost, 0.0), 0.0)

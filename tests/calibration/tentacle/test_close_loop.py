@@ -22,13 +22,14 @@ from calibration.tentacle.arm import (
 )
 from calibration.tentacle.candidates import ARM_EFFECTS, candidates_of, effect_values, with_effects
 from calibration.tentacle.close_loop import (
+    above_floor,
     close_arm_loop,
     gain_by_chance,
     noise_floor_of,
     repeated_runs,
     search_record,
 )
-from calibration.tentacle.effects.tendon_friction import CapstanFriction
+from calibration.tentacle.effects.capstan_friction import CapstanFriction
 from calibration.tentacle.effects.tendon_place import TendonPlace
 from calibration.tentacle.effects.tension_offset import TensionOffset
 from calibration.tentacle.fit import ArmProblem, fit_arm
@@ -100,7 +101,7 @@ def test_an_effect_in_the_data_is_found_alone(name, value):
     assert search.statuses[first.chosen] in (IDENTIFIED, CLASS)
     assert [x.chosen for x in search.rounds[1:]] == [None]
     assert search.used.free == first.fit.free
-    assert search.left_out_mm["predictions"] < search.left_out_mm["base"]
+    assert search.held_out_mm["predictions"] < search.held_out_mm["base"]
     assert search.verdict == search.statuses[first.chosen]
     if first.chosen == name:
         i = problem.names.index(name)
@@ -159,6 +160,14 @@ def test_the_floor_is_the_error_that_each_session_has_alone():
     assert noise_floor_of(runs._replace(sessions=("",) * 200), runs.markers) is None
 
 
+def test_few_pairs_determine_the_floor_roughly():
+    """Limits of the F-test at 5 %: F(14, 2) is 19.4, F(14, 1000) is 1.70 (published tables)."""
+    for pairs, limit in ((2, 19.42), (1000, 1.702)):
+        assert not above_floor(0.99 * limit**0.5, 1.0, 14, pairs)
+        assert above_floor(1.01 * limit**0.5, 1.0, 14, pairs)
+    assert above_floor(1.0, None, 14, 0)
+
+
 def test_effects_at_their_nulls_change_nothing_and_each_parameter_changes_something():
     strains = jnp.zeros((POINTS, 4)).at[:, 1].set(3.0)
     parts = arm_parts(ArmParameters(), jnp.array([2.0, 1.0]), strains)
@@ -169,6 +178,23 @@ def test_effects_at_their_nulls_change_nothing_and_each_parameter_changes_someth
     for i in range(len(nulls)):
         changed = changed_by(parts, jnp.asarray(nulls).at[i].set(1e-3))
         assert not eqx.tree_equal(parts, changed, rtol=1e-7, atol=1e-9), i
+
+
+@pytest.mark.parametrize(
+    "name, value", [("capstan_friction.mu", 0.3), ("strain_stiffening.growth", 20.0)]
+)
+def test_the_first_guess_changes_no_marker(name, value):
+    """Shapes from the unloaded arm and from another arm agree to 1e-8 m, and so do derivatives."""
+    cold, theta = measured({name: value})
+    warm = ArmProblem(cold.runs, cold.candidates, light_arms)
+    warm.markers(np.concatenate([2.0 * TRUE, theta[2:]]))
+    cold = ArmProblem(cold.runs, cold.candidates, light_arms)
+    expected = cold.markers(theta)
+    np.testing.assert_allclose(warm.markers(theta), expected, atol=1e-8)
+    step = np.eye(len(theta))[0] * 1e-3 * theta[0]
+    ahead, behind = (cold.markers(theta + sign * step) for sign in (1.0, -1.0))
+    slope = (ahead - behind) / (2.0 * step[0])
+    np.testing.assert_allclose(warm.slopes(theta, [0])[0], slope, atol=5e-3 * np.abs(slope).max())
 
 
 def test_effects_of_a_session_act_in_its_runs_only():
@@ -189,6 +215,7 @@ def test_offset_friction_and_place_of_the_tendons():
     parts = arm_parts(ArmParameters(), jnp.array([2.0, 0.0]), strains)
     tensions = [float(x.tension) for x in TensionOffset(both=0.3, tendon_1=0.1).on(parts).tendons]
     np.testing.assert_allclose(tensions, [1.6, 0.0])
+    assert TensionOffset(both=3.0).on(parts).tendons[0].tension == 0.0
     loss = CapstanFriction(mu=0.2).on(parts).tendons[0].share[:20] / parts.tendons[0].share[:20]
     np.testing.assert_allclose(loss, np.exp(-0.2 * 4.0 * parts.rod.s[:20]), rtol=1e-9)
     moved = TendonPlace(at_base=1e-3, at_end=1e-3, angle=0.1).on(parts).tendons
@@ -200,9 +227,9 @@ def test_offset_friction_and_place_of_the_tendons():
         np.testing.assert_allclose(along, np.asarray(after.offset_slope)[:19], rtol=1e-9)
 
 
-def test_a_left_out_run_has_no_influence_on_the_fit():
+def test_a_held_out_run_has_no_influence_on_the_fit():
     problem, _ = measured({})
-    fit = fit_arm(problem, problem.stated, (0, 1), left_out=3)
+    fit = fit_arm(problem, problem.stated, (0, 1), held_out=3)
     problem.runs.markers[3] += 0.1
-    again = fit_arm(problem, problem.stated, (0, 1), left_out=3)
+    again = fit_arm(problem, problem.stated, (0, 1), held_out=3)
     np.testing.assert_allclose(again.theta, fit.theta, rtol=1e-6)

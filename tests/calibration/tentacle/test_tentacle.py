@@ -9,7 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibration.tentacle.arm import ArmParameters, arm_tendons, arm_under, rod_of
+from calibration.tentacle.arm import (
+    INCREMENTS,
+    POINTS,
+    ArmParameters,
+    arm_parts,
+    arm_shape,
+    arm_tendons,
+    rod_of,
+)
 from calibration.tentacle.fit import distances, prediction_record_of_arm
 from calibration.tentacle.runs import MARKERS, ArmRuns, read_arm_runs
 from slider_jax.errors import InputError
@@ -47,7 +55,10 @@ def test_tendons_run_in_the_wall_to_their_end():
 @pytest.mark.slow
 def test_the_arm_bends_as_the_readme_of_the_data_says():
     """Tendon 1 pulls the tip to +x and +y, and tendon 2 mirrors it at the plane y = 0."""
-    one, two = (arm_under(STATED, jnp.array(u)) for u in ((3.0, 0.0), (0.0, 3.0)))
+    one, two = (
+        arm_shape(arm_parts(STATED, jnp.array(u), jnp.zeros((POINTS, 4))), INCREMENTS)
+        for u in ((3.0, 0.0), (0.0, 3.0))
+    )
     assert one.ok
     assert one.markers[3, 0] > 0.02
     assert one.markers[3, 1] > 0.02
@@ -84,6 +95,10 @@ ROW = ",".join(("a", "1.0", "0.0", *["0.1"] * 12))
             "column p1x_m: given 100.0; allowed -2 to 2 m",
         ),
         (HEADER + "\n" + ROW.rpartition(",")[0], "column p4z_m: given nothing"),
+        (
+            f"{HEADER},session\n{ROW},A\n{ROW.replace('a', 'b')},",
+            "line 3, column session: given nothing; allowed a name in every row, or no column",
+        ),
     ],
 )
 def test_errors_of_the_file_name_line_and_column(tmp_path, text, message):
@@ -105,7 +120,7 @@ def test_the_measured_runs_are_read(arm):
 def test_the_script_predicts_the_known_runs(arm, tmp_path):
     """The mean distance of the fitted runs is at most 9 mm; the best published one is 15.5 mm.
 
-    The search names the tension of tendon 1 in session A first, and improves left-out runs.
+    The search names the tension of tendon 1 in session A first, and improves held-out runs.
     """
     done = subprocess.run(
         [sys.executable, "scripts/tentacle.py", str(arm), "--out", str(tmp_path / "out")],
@@ -121,6 +136,6 @@ def test_the_script_predicts_the_known_runs(arm, tmp_path):
     search = json.loads((tmp_path / "out" / "close_loop.json").read_text())
     assert search["rounds"][0]["chosen"] == "tension_gain.tendon_1 in session A"
     assert len(search["predictions"]) == 4
-    left_out = search["mean_distance_of_left_out_runs_mm"]
-    assert left_out["predictions"] < left_out["base"] - 2.0
-    assert search["verdict"] == "partly_explained"
+    held_out = search["mean_distance_of_held_out_runs_mm"]
+    assert held_out["predictions"] < held_out["base"] - 2.0
+    assert search["verdict"] == "class"

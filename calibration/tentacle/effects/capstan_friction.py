@@ -1,6 +1,7 @@
 """Friction of the tendons in the wall of the arm."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import jax.numpy as jnp
 
@@ -15,6 +16,7 @@ class CapstanFriction(AbstractArmEffect):
     The tensions rose before each run. Source: capstan equation (Euler-Eytelwein).
     """
 
+    uses_strains: ClassVar[bool] = True
     mu: float = parameter(
         0.0, -0.3, 0.3, "-", "silicone with a lining; below 0 if the tension fell before the run"
     )

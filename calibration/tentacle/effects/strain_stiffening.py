@@ -1,6 +1,7 @@
 """Material that stiffens or softens with strain."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import jax.numpy as jnp
 
@@ -15,6 +16,7 @@ class StrainStiffening(AbstractArmEffect):
     kappa r is the largest strain of bending; it is about 0.1 in the strongest bend.
     """
 
+    uses_strains: ClassVar[bool] = True
     growth: float = parameter(0.0, -20.0, 20.0, "-", "20 % at a strain of 0.1: hyperelastic rubber")
 
     def on(self, parts: ArmParts) -> ArmParts:
