@@ -93,12 +93,22 @@ class ArmProblem:
         return self._shapes(base, values, self._tensions, strains, jnp.asarray(share))
 
     def _repeated(self, base: Array, values: Array, strains: Array, found: ArmShape) -> ArmShape:
-        """Repeats shapes until they agree with the strains that their effects use."""
-        for _ in range(MOST_REPEATS):
+        """Repeats shapes until they agree with the strains that their effects use.
+
+        Aitken's method relaxes the strains of each run: strong effects overshoot otherwise.
+        """
+        relaxation, before = np.ones((len(strains), 1, 1)), np.zeros(strains.shape)
+        for count in range(MOST_REPEATS):
+            change = np.asarray(found.strains - strains)
             # A shape that was not found may have strains that are not numbers.
-            if not jnp.max(jnp.abs(found.strains - strains)) > LARGEST_CHANGE:
+            if not np.max(np.abs(change)) > LARGEST_CHANGE:
                 return found
-            strains = found.strains
+            if count:
+                more = change - before
+                size = np.maximum(np.sum(more**2, axis=(1, 2), keepdims=True), 1e-30)
+                ratio = -np.sum(before * more, axis=(1, 2), keepdims=True) / size
+                relaxation = np.clip(relaxation * ratio, 0.1, 5.0)
+            strains, before = strains + relaxation * change, change
             found = self._found(base, values, strains)
         raise SolverError(
             f"the shape of the arm still changes after {MOST_REPEATS} repetitions; the effects of "
