@@ -1,8 +1,8 @@
 """The supports of a rod that is held at both ends.
 
 The far end has a given place, and, in a clamp, a given direction. A hinge lets it turn. The near
-end may be a hinge too: it turns about any axis in the plane of n and b of the clamp, and not about
-t. So its rotation vector from the clamp has no part along t.
+end may be a hinge too: its support exerts a moment only along t of the clamp, and its rate of
+turning has no part along t.
 
 The end moves from its place at the unloaded rod to the given place in proportion to the share of
 the loads. A straight rod that is pushed together has no unique shape. So the unloaded rod gets a
@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from slider_jax.rod.rod import Rod, RodShape, rod_shape
-from slider_jax.rod.rotations import axis_of, mean_rotation, rotation
+from slider_jax.rod.rotations import axis_of, rotation
 
 BOW = 0.1
 """Largest slope [rad] of the bowed rod relative to the unloaded rod. Twice, L/4 from each end."""
@@ -59,14 +59,6 @@ class HeldEnd(eqx.Module):
                 left * self.bow,
             ),
         )
-
-    def near_frame(self, near: Float[Array, " h"], clamp: Float[Array, "3 3"]) -> Array:
-        """Returns the frame at the near end, turned by the rotation vector `near_axes @ near`."""
-        return rotation(self.near_axes @ near) @ clamp
-
-    def near_spin(self, near: Float[Array, " h"]) -> Float[Array, "3 h"]:
-        """Returns the turn of the near end per change of each part of `near`."""
-        return mean_rotation(self.near_axes @ near) @ self.near_axes
 
     def error(self, shape: RodShape) -> Float[Array, " k_and_m"]:
         """Returns displacements [m] and turns [rad] of the far end along the held axes."""

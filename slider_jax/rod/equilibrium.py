@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.linalg import eigvals, null_space
-from scipy.spatial.transform import Rotation
 
 from slider_jax.errors import SolverError
 from slider_jax.rod.ends import HeldEnd
 from slider_jax.rod.loads import RodLoads, weighted_place
 from slider_jax.rod.rod import Rod, RodShape, rod_shape
+from slider_jax.rod.rotations import rotation
 from slider_jax.rod.virtual_work import rod_equations, unloaded_tip
 
 TOLERANCE = 1e-11
@@ -62,8 +62,8 @@ class _State(NamedTuple):
     """The unknowns."""
 
     strains: Float[Array, "points q"]
-    near: Float[Array, " h"]
-    """Rotation vector [rad] of the near end from the clamp, along the axes of its hinge."""
+    near: Float[Array, "3 3"]
+    """Frame at the near end; it turns only in a hinge."""
     pull: Float[Array, " k"]
     """Force [N] and moment [N m] of the far support along the held axes."""
 
@@ -100,10 +100,8 @@ def _system(x: _State, loads: RodLoads, rod: Rod, end: HeldEnd | None) -> _Syste
         return _System(work.residual, work.stiffness, none, x.pull)
     force, moment = end.pull(x.pull)
     loads = replace(loads, force=loads.force + force, moment=loads.moment + moment)
-    rod = replace(rod, clamp=end.near_frame(x.near, rod.clamp))
-    work = rod_equations(x.strains, rod, loads)
-    axes, tip = end.near_spin(x.near), work.shape.position[-1]
-    bent = jax.jacfwd(lambda near: -end.near_spin(near).T @ work.moment)(x.near)
+    work = rod_equations(x.strains, replace(rod, clamp=x.near), loads)
+    axes, tip = end.near_axes, work.shape.position[-1]
     spin = jnp.concatenate([work.spin, axes.T])
     moved = jnp.concatenate([work.tip, jnp.cross(axes.T, tip)])
     return _System(
@@ -111,7 +109,7 @@ def _system(x: _State, loads: RodLoads, rod: Rod, end: HeldEnd | None) -> _Syste
         jnp.block(
             [
                 [work.stiffness, work.turned @ axes],
-                [axes.T @ work.turning, axes.T @ work.turned_moment @ axes + bent],
+                [axes.T @ work.turning, axes.T @ work.turned_moment @ axes],
             ]
         ),
         jnp.concatenate([end.held @ moved.T, end.turning_held @ spin.T]),
@@ -122,7 +120,7 @@ def _system(x: _State, loads: RodLoads, rod: Rod, end: HeldEnd | None) -> _Syste
 _compiled_system = eqx.filter_jit(_system)
 
 
-def _step(x: _State, system: _System, matrix: _System) -> _State:
+def _step(x: _State, system: _System, end: HeldEnd | None, matrix: _System) -> _State:
     """Returns the state after a Newton step with the derivatives of `matrix`."""
     held, stiffness = matrix.held, matrix.stiffness
     zero = jnp.zeros((len(held), len(held)))
@@ -131,10 +129,11 @@ def _step(x: _State, system: _System, matrix: _System) -> _State:
     errors = jnp.concatenate([system.error, -scale * system.away])
     change = -jnp.linalg.solve(whole, errors)
     size, unknowns = x.strains.size, len(system.error)
+    near = x.near
+    if end is not None:
+        near = rotation(end.near_axes @ change[size:unknowns]) @ near
     return _State(
-        x.strains + change[:size].reshape(x.strains.shape),
-        x.near + change[size:unknowns],
-        x.pull + scale * change[unknowns:],
+        x.strains + change[:size].reshape(x.strains.shape), near, x.pull + scale * change[unknowns:]
     )
 
 
@@ -149,7 +148,7 @@ def _solve(
         x, _, count = state
         system = _system(x, *part)
         error = _error(x, system, rod, end)
-        after = _step(x, system, system)
+        after = _step(x, system, part[2], system)
         # A step beyond the tolerance would only add rounding errors to a soft rod.
         return (
             jax.tree.map(lambda a, b: jnp.where(error > TOLERANCE, a, b), after, x),
@@ -173,11 +172,10 @@ def _found(
     part = _share_of(loads, rod, end, 1.0)
     system = _system(x, *part)
     error = _error(x, system, rod, end)
-    step = _step(x, system, jax.lax.stop_gradient(system))
+    step = _step(x, system, part[2], jax.lax.stop_gradient(system))
     x = jax.tree.map(lambda a, b: a + (b - jax.lax.stop_gradient(b)), x, step)
     pull = (jnp.zeros(3), jnp.zeros(3)) if end is None else end.pull(x.pull)
-    if end is not None:
-        rod = replace(rod, clamp=end.near_frame(x.near, rod.clamp))
+    rod = replace(rod, clamp=x.near)
     shape = rod_shape(rod, x.strains)
     force, moment = loads.on_tip(shape.frame[-1], unloaded_tip(rod, loads))
     force, arm = force + pull[0], shape.position[-1]
@@ -208,7 +206,7 @@ def equilibrium(
     shares = jnp.arange(1, increments + 1) / increments
     x, ok = jax.lax.scan(
         lambda x, share: _solve(x, *given, None, share),
-        _State(begin, jnp.zeros(0), jnp.zeros(0)),
+        _State(begin, given[0].clamp, jnp.zeros(0)),
         shares,
     )
     return _found(x, rod, loads, None, jnp.all(ok))
@@ -239,18 +237,17 @@ def solve_equilibrium(rod: Rod, loads: RodLoads, end: HeldEnd | None = None) -> 
     A step is halved if Newton's method does not converge, or, with a held end, if a strain changes
     by more than the largest strain. Raises `SolverError` if the steps become too small.
     """
-    begin, largest, near, pull = rod.unloaded, LARGEST_STEP, jnp.zeros(0), jnp.zeros(0)
+    begin, largest, pull = rod.unloaded, LARGEST_STEP, jnp.zeros(0)
     if end is not None:
         begin = begin.at[:, :3].add(end.bow)
         largest = min(largest, LARGEST_TURN / max(abs(float(end.turns)), 1e-9))
-        near = jnp.zeros(end.near_axes.shape[1])
         pull = jnp.zeros(len(end.held) + len(end.turning_held))
-    x = before = _State(begin, near, pull)
+    x = before = _State(begin, rod.clamp, pull)
     share, step, last = 0.0, largest, jnp.inf
     while share < 1.0:
         step = min(step, 1.0 - share)
         ahead = jax.tree.map(lambda a, b, f=step / last: a + f * (a - b), x, before)
-        after, ok = _solve(ahead, rod, loads, end, jnp.asarray(share + step))
+        after, ok = _solve(ahead._replace(near=x.near), rod, loads, end, jnp.asarray(share + step))
         if end is not None:
             change = jnp.max(jnp.abs(after.strains - x.strains))
             ok = ok & (change < jnp.maximum(jnp.max(jnp.abs(x.strains)), 1.0 / jnp.sum(rod.ds)))
@@ -295,12 +292,10 @@ def smallest_eigenvalue(
     the rod then moves without force, like an isotropic rod between two clamps in line. The
     criterion does not find flutter under follower loads.
     """
-    near = pull = jnp.zeros(0)
+    pull = jnp.zeros(0)
     if end is not None:
-        turned = Rotation.from_matrix(found.shape.frame[0] @ rod.clamp.T).as_rotvec()
-        near = end.near_axes.T @ turned
         pull = jnp.concatenate([end.held @ found.end_force, end.turning_held @ found.end_moment])
-    x = _State(found.strains, near, pull)
+    x = _State(found.strains, found.shape.frame[0], pull)
     system = _compiled_system(x, loads, rod, end)
     matrix, weights = np.asarray(system.stiffness), np.zeros(len(system.error))
     weights[: x.strains.size] = np.asarray(rod.elasticity * rod.ds[:, None]).ravel()
