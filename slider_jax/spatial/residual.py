@@ -5,6 +5,8 @@ the start of the step to the present frame. The frame is stored between the step
 in a step stays small and no singularity of a rotation vector can occur.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -266,6 +268,9 @@ def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOp
     def rows(mid, slope, turning):
         return spatial_cell_rows(mid, slope, turning, stage, tension)
 
+    def at_tension(tension):
+        return spatial_cell_rows(mid, slope, turning, stage, tension)
+
     def by_axial_force(T_tau):
         return rows(mid._replace(T=mid.T._replace(tau=T_tau)), slope, turning)
 
@@ -296,7 +301,7 @@ def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOp
         right=jnp.concatenate([from_mid + from_slope, of_theta[:, 3:]], axis=1),
         tail=jnp.eye(6, 12, dtype=y.dtype),
         head=_head_jacobian(y[:, -1], at((psi, omega_by_theta), -1), stage),
-        update=_through_tensions(y, stage),
+        update=_through_tensions(y, at_tension, stage),
     )
 
 
@@ -317,8 +322,13 @@ def _head_jacobian(
     return jnp.concatenate([direct, by_frame @ psi + by_omega @ spin], axis=1)
 
 
-def _through_tensions(y: Float[Array, "12 nodes"], stage: SpatialStage) -> Update | None:
-    """Returns the part of the Jacobian that is due to the elongation of elastic tendons."""
+def _through_tensions(
+    y: Float[Array, "12 nodes"], rows: Callable[[Array], tuple[Array, ...]], stage: SpatialStage
+) -> Update | None:
+    """Returns the part of the Jacobian that is due to the elongation of elastic tendons.
+
+    `rows` returns the residuals of the cells at given tensions.
+    """
     if stage.tendons is None or not stage.tendons.elastic:
         return None
 
@@ -327,11 +337,7 @@ def _through_tensions(y: Float[Array, "12 nodes"], stage: SpatialStage) -> Updat
         curvature = turning_in_cells(vectors(y)[3], stage).curvature
         return tensions_in_space(mid.T.tau, curvature, stage)
 
-    mid, slope = means_and_slopes(y, stage.structure.ds)
-    turning = turning_in_cells(vectors(y)[3], stage)
-
-    def rows(tension):
-        return jnp.stack(spatial_cell_rows(mid, slope, turning, stage, tension))
-
-    columns = jax.jacfwd(rows)(tensions(y))
-    return Update(jnp.moveaxis(columns, -1, 0), jax.jacrev(tensions)(y))
+    tension, back = jax.vjp(tensions, y)
+    columns = jax.jacfwd(lambda x: jnp.stack(rows(x)))(tension)
+    (by_y,) = jax.vmap(back)(jnp.eye(len(tension), dtype=y.dtype))
+    return Update(jnp.moveaxis(columns, -1, 0), by_y)
