@@ -3,12 +3,14 @@
 import itertools
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import Array
 
 from slider_jax.actuation import LengthTendon, SineWave
 from slider_jax.beam.parameters import Numerics
@@ -216,22 +218,37 @@ def dot(p, q):
     return sum(x * y for x, y in zip(p, q, strict=True))
 
 
-def powers(x):
-    """Returns the power [W] of the actuators, and the part that no other term contains."""
+class Balance(NamedTuple):
+    """Powers [W] and the stored energy [J] at the end of a step."""
+
+    actuators: Array
+    stored_rate: Array
+    lost: Array
+    given: Array
+    """Power that the body gives to the water."""
+    energy: Array
+    """Kinetic and elastic energy."""
+
+    @property
+    def left(self):
+        """The part of the actuators' power that no other term contains."""
+        return self.actuators - self.stored_rate - self.lost - self.given
+
+
+def balance(x):
     c, s, integral, old = x.section(), x.mesh.structure, x.mesh.grid.integral, x.stage.reference
     strain_t = (c.strain - old.strain) / old.dt
     bend = [k * w for k, w in zip(s.stiffness, c.curvature, strict=True)]
     viscous = [k * w for k, w in zip(s.stiffness, c.curvature_t, strict=True)]
     spin = [j * w for j, w in zip(s.inertia, c.omega, strict=True)]
     load = total_load(x.stage.effects, c)
-    stored = s.linear_density * dot(c.V, c.V.minus(old.V).times(1.0 / old.dt)) + dot(
-        spin, c.omega_t
-    )
-    stored += dot(bend, c.curvature_t) + s.EA * c.strain * strain_t
+    stored = s.linear_density * dot(c.V, c.V.minus(old.V).times(1.0 / old.dt))
+    stored += dot(spin, c.omega_t) + dot(bend, c.curvature_t) + s.EA * c.strain * strain_t
     lost = s.damping_time * (dot(viscous, c.curvature_t) + s.EA * strain_t**2)
     given = -(1.0 + c.strain) * (dot(load.force, c.V) + dot(load.couple, c.omega))
-    chambers = x.actuator_power()
-    return chambers, chambers - integral(stored + lost + given)
+    energy = s.linear_density * dot(c.V, c.V) + dot(spin, c.omega)
+    energy = 0.5 * (energy + dot(bend, c.curvature) + s.EA * c.strain**2)
+    return Balance(x.actuator_power(), *(integral(q) for q in (stored, lost, given, energy)))
 
 
 @pytest.mark.slow
@@ -245,11 +262,27 @@ def test_the_powers_balance_at_every_step(with_tendon):
         helix = LengthTendon(0.02, 0.3, 0.012, pull, 2e3, angle=(0.3, 2.0))
         model = replace(model, actuators=(arrays(helix),))
     numerics = replace(SMALL, tolerance=1e-11)
-    save = lambda x: (*powers(x), x.section().curvature.n)  # noqa: E731
+    save = lambda x: (balance(x), x.section().curvature.n)  # noqa: E731
     run = jax.jit(lambda m: spatial_rollout(m, TimeGrid(5e-3, 60), save, numerics))(model)
-    chambers, left, bent = (np.array(x) for x in run.saved)
+    found, bent = run.saved
     assert run.ok and np.abs(bent).max() > 0.5
-    np.testing.assert_allclose(left, 0.0, atol=1e-9 * np.abs(chambers).max())
+    np.testing.assert_allclose(found.left, 0.0, atol=1e-9 * np.abs(found.actuators).max())
+
+
+@pytest.mark.slow
+def test_the_energy_of_a_stride_closes():
+    """The work of a stride is stored, dissipated or given to the water, to 1e-5 of the work."""
+    model = replace(strip_swimmer(EI_n=0.02), space=SpaceSettings(jnp.array([0.7, -0.7])))
+    steps, numerics = 1600, Numerics(tail_cells=12, body_cells=36, tolerance=1e-10)
+    times = TimeGrid.per_stride(4.8, steps, 2)
+    run = jax.jit(lambda m: spatial_rollout(m, times, balance, numerics, checkpoint=False))(model)
+    stride = jax.tree.map(lambda x: np.array(x)[steps - 1 :], run.saved)
+    work, lost, given = (
+        np.trapezoid(x, dx=float(times.h)) for x in (stride.actuators, stride.lost, stride.given)
+    )
+    assert run.ok and min(work, lost, given) > 0.01
+    stored = stride.energy[-1] - stride.energy[0]
+    np.testing.assert_allclose(lost + given + stored, work, rtol=1e-5)
 
 
 @pytest.mark.slow
