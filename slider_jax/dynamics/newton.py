@@ -1,8 +1,11 @@
 """The root finder of an implicit stage, and its derivative by the implicit function theorem.
 
-`BeamNewton` reads three options. `options["jacobian"]` is a function (y, args) -> BeamOperator.
+`BeamNewton` reads five options. `options["jacobian"]` is a function (y, args) -> BeamOperator.
 `options["scale"]` is the scale of each unknown. If `options["skip"]` is true, the iteration stops
-before its first step. A failed robot therefore adds no iterations to a batch.
+before its first step. A failed robot therefore adds no iterations to a batch. `options["error"]`
+is the estimated error of the initial guess (default: infinite). If `options["factors"]` is given,
+the state of the solution contains the factors of the last iteration, or the given ones if there was
+no iteration.
 
 `BeamAdjoint` differentiates the root with the same Jacobian. If one robot of a batch fails, only
 this robot's derivatives are invalid. Compiled programs do not call Python, so JAX can cache them.
@@ -18,12 +21,16 @@ import jax
 import jax.numpy as jnp
 import optimistix as optx
 
-from slider_jax.dynamics.block_solver import BeamSolver
+from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
 
 ROUNDING = 1e-14
 """Increments below this size are rounding errors. They repeat with almost the same size, so their
 ratio, close to 1, says nothing about the convergence: a straight robot that coasts has increments
 of 3e-17, whose ratio differs from 1 by 1e-9."""
+STRICTER = 1e-3
+"""Part of `rtol` at which steps with the factors of another stage stop. Errors are relative to the
+scale of each unknown, and forces may be a hundred times smaller. Three steps with new factors end
+far below `rtol`. With 1e-3, steps with older factors are as exact as those."""
 
 
 def tangent_of(function: Callable[[Any], Any], inputs: Any, tangents: Any) -> Any:
@@ -42,6 +49,8 @@ class BeamNewton(optx.AbstractRootFinder):
     |increment| r/(1 - r). The iteration stops when this error, divided by max(`options["scale"]`,
     |y|), is below `rtol`. `atol` must be 0, since the six unknowns have different units.
 
+    `patience` is the largest number of steps with the factors of another stage.
+
     Source: Shamanskii, V. E. (1967), A modification of Newton's method, Ukr. Math. J. 19, 118-122.
     """
 
@@ -49,6 +58,7 @@ class BeamNewton(optx.AbstractRootFinder):
     atol: float = 0.0
     norm: Any = optx.max_norm
     corrections: int = 3
+    patience: int = 8
     linear_solver: BeamSolver = BeamSolver()
 
     def __check_init__(self):
@@ -59,31 +69,76 @@ class BeamNewton(optx.AbstractRootFinder):
             )
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        return jnp.asarray(jnp.inf, y.dtype)
+        return options.get("error", jnp.asarray(jnp.inf, y.dtype)), options.get("factors")
 
     def step(self, fn, y, args, options, state, tags):
-        factors = self.linear_solver.init(options["jacobian"](y, args), {})
+        factors = self.factors(options["jacobian"](y, args))
 
-        def correct(_, carry):
-            y, _, before = carry
-            change, _, _ = self.linear_solver.compute(factors, fn(y, args)[0], {})
-            size = self.norm(change / jnp.maximum(options["scale"], jnp.abs(y)))
-            return y - change, before, size
+        def residual(y):
+            return fn(y, args)[0]
+
+        def correct(_, values):
+            return self._corrected(residual, factors, options["scale"], values)
 
         infinite = jnp.asarray(jnp.inf, y.dtype)
-        y, before, last = jax.lax.fori_loop(0, self.corrections, correct, (y, infinite, infinite))
-        rate = last / before
-        shrinks = (rate < 1.0) & (last > ROUNDING)
-        error = jnp.where(shrinks, last * rate / (1.0 - rate), last)
-        return y, error, fn(y, args)[1]
+        y, *sizes = jax.lax.fori_loop(0, self.corrections, correct, (y, infinite, infinite))
+        _, kept = state
+        return y, (_error(*sizes), kept if kept is None else factors), fn(y, args)[1]
 
     def terminate(self, fn, y, args, options, state, tags):
-        bad = jnp.isnan(state)
+        error, _ = state
+        bad = jnp.isnan(error)
         result = optx.RESULTS.where(bad, optx.RESULTS.nonfinite, optx.RESULTS.successful)
-        return bad | (state < self.rtol) | options["skip"], result
+        return bad | (error < self.rtol) | options["skip"], result
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         return y, aux, {}
+
+    def factors(self, jacobian: BeamOperator) -> Any:
+        """Returns the factors of a Jacobian."""
+        factors, _ = self.linear_solver.init(jacobian, {})
+        return factors
+
+    def improved(self, fn, guess, args, factors, scale, usable) -> tuple[Any, Any]:
+        """Returns a better guess by steps with the `factors` of another stage, and its error.
+
+        The steps stop when the estimated error is below `STRICTER` times `rtol`. If it is not after
+        `patience` steps, or if the factors are not `usable`, the result is `guess` and an infinite
+        error.
+        Derivatives of the root do not depend on the guess, so the steps are not differentiated.
+        """
+        guess, args, factors, scale = jax.lax.stop_gradient((guess, args, factors, scale))
+        infinite = jnp.asarray(jnp.inf, guess.dtype)
+        limit = max(STRICTER * self.rtol, ROUNDING)
+
+        def unfinished(state):
+            count, (_, *sizes) = state
+            return usable & (count < self.patience) & ~(_error(*sizes) < limit)
+
+        def correct(state):
+            count, values = state
+            return count + 1, self._corrected(lambda y: fn(y, args), factors, scale, values)
+
+        start = 0, (guess, infinite, infinite)
+        _, (y, *sizes) = jax.lax.while_loop(unfinished, correct, start)
+        error = _error(*sizes)
+        found = error < limit
+        return jnp.where(found, y, guess), jnp.where(found, error, infinite)
+
+    def _corrected(self, residual, factors, scale, values):
+        """Returns y after one more step with the factors, and the sizes of the last two steps."""
+        y, _, before = values
+        change, _, _ = self.linear_solver.compute((factors, False), residual(y), {})
+        size = self.norm(change / jnp.maximum(scale, jnp.abs(y)))
+        return y - change, before, size
+
+
+def _error(before, last):
+    """Returns the estimated error after steps of the given sizes; one step gives no estimate."""
+    rate = last / before
+    shrinks = (rate < 1.0) & (last > ROUNDING)
+    error = jnp.where(shrinks, last * rate / (1.0 - rate), last)
+    return jnp.where(jnp.isinf(before), before, error)
 
 
 class BeamAdjoint(optx.AbstractAdjoint):

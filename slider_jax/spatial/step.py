@@ -247,8 +247,13 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
     def mean_of(x: Float[Array, "3 nodes"]) -> Vec:
         return Vec(*grid.mid(x))
 
-    def run_stage(base: SpatialMemory, start: Quaternion, support, h, carry, stage_inputs):
-        t, weight, predictor, chambers = stage_inputs
+    def run_stage(base: SpatialMemory, start: Quaternion, support, h, carry, factors, stage_inputs):
+        """Returns the new carry, the stage with its solution, and the factors of a Jacobian.
+
+        `factors` are those of the stage before, and are usable if `later` is true. One
+        factorisation then serves both stages of a step.
+        """
+        later, t, weight, predictor, chambers = stage_inputs
         memory = jax.tree.map(lambda b, q: b + weight * (q - b), base, carry.memory)
         dt = scheme.gamma * h
         slope = jnp.asarray(jnp.gradient(predictor @ carry.twist, grid.mid(grid.s)))
@@ -280,12 +285,18 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             return jnp.stack(rotation_vector(start.inverse().after(Quaternion(*frames))))
 
         known = jnp.concatenate([carry.history, jax.vmap(theta_of)(carry.frames)], axis=1)
+        guess = jnp.tensordot(predictor, known, 1)
+        options = {"jacobian": spatial_jacobian, "scale": scale, "skip": ~carry.ok}
+        if factors is not None:
+            usable = later & carry.ok
+            guess, error = solver.improved(spatial_residual, guess, stage, factors, scale, usable)
+            options |= {"error": error, "factors": jax.lax.stop_gradient(factors)}
         solution: optx.Solution = optx.root_find(
             spatial_residual,
             solver,
-            jnp.tensordot(predictor, known, 1),
+            guess,
             args=stage,
-            options={"jacobian": spatial_jacobian, "scale": scale, "skip": ~carry.ok},
+            options=options,
             max_steps=numerics.max_newton,
             adjoint=BeamAdjoint(),
             throw=False,
@@ -324,7 +335,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             factorisations=carry.factorisations + solution.stats["num_steps"],
             failed_at=jnp.where(carry.ok & ~converged, t, carry.failed_at),
         )
-        return new, (stage, y)
+        return new, (stage, y), solution.state[1]
 
     def step(carry: SpatialCarry, inputs):
         t_start, h, chambers = inputs
@@ -340,14 +351,18 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
         carry = eqx.tree_at(lambda c: c.memory, carry, base)
 
         def body(state, stage_inputs):
-            inner, _ = state
-            return run_stage(base, start, support, h, inner, stage_inputs), None
+            inner, _, factors = state
+            return run_stage(base, start, support, h, inner, factors, stage_inputs), None
 
-        rows = (t_start + nodes * h, weights, predict, chambers)
-        first = jax.tree.map(lambda x: x[0], rows)
-        empty = jax.eval_shape(lambda c, r: run_stage(base, start, support, h, c, r), carry, first)
-        placeholder = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), empty[1])
-        (carry, (stage, y)), _ = jax.lax.scan(body, (carry, placeholder), rows)
+        def first_stage(carry, row):
+            _, (stage, y), _ = run_stage(base, start, support, h, carry, None, row)
+            return (stage, y), solver.factors(spatial_jacobian(y, stage))
+
+        later = jnp.arange(scheme.stages) > 0
+        rows = (later, t_start + nodes * h, weights, predict, chambers)
+        shapes = jax.eval_shape(first_stage, carry, jax.tree.map(lambda x: x[0], rows))
+        empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+        (carry, (stage, y), _), _ = jax.lax.scan(body, (carry, *empty), rows)
         last = Quaternion(*carry.frames[-1])
         end = at(last, -1).to_space(support.anchor_in_space(t_start + h))
         carry = eqx.tree_at(lambda c: c.memory.head, carry, carry.memory.head - end)

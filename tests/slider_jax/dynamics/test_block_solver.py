@@ -139,3 +139,35 @@ def test_derivative_of_a_root_matches_the_dense_implicit_one(support):
     assert float(jnp.max(jnp.abs(value))) < 1e-7
     np.testing.assert_allclose(forward, exact, rtol=1e-8, atol=1e-9 * np.abs(exact).max())
     np.testing.assert_allclose(reverse, weight.ravel() @ exact, rtol=1e-8)
+
+
+def test_steps_with_the_factors_of_another_stage_find_the_root_or_keep_the_guess():
+    """They converge with a moment that is 5 % larger, and not with a hundred times the EI."""
+    _, stage = problem("clamped", SIZES["even"], dt=1e-3)
+    guess, scale = 0.0 * bent(SIZES["even"].nodes), scales_of(swimmer().robot)
+    solver = BeamNewton(rtol=1e-9, patience=12)
+
+    @jax.jit
+    def root(stage, guess, error):
+        options = {"jacobian": jacobian, "scale": scale, "skip": jnp.asarray(False), "error": error}
+        return optx.root_find(
+            residual, solver, guess, args=stage, options=options, max_steps=30,
+            adjoint=BeamAdjoint(),
+        )  # fmt: skip
+
+    @jax.jit
+    def improved(other, usable):
+        factors = solver.factors(jacobian(exact, other))
+        return solver.improved(residual, guess, stage, factors, scale, usable)
+
+    never = jnp.asarray(jnp.inf)
+    exact = root(stage, guess, never).value
+    near = eqx.tree_at(lambda s: s.active_moment, stage, 1.05 * stage.active_moment)
+    far = eqx.tree_at(lambda s: s.structure.EI, stage, 100.0 * stage.structure.EI)
+    found, error = improved(near, jnp.asarray(True))
+    assert error < 1e-9
+    np.testing.assert_allclose(found / scale, exact / scale, rtol=0, atol=1e-7)
+    assert root(stage, found, error).stats["num_steps"] == 0
+    for other, usable in ((far, True), (near, False)):
+        kept, error = improved(other, jnp.asarray(usable))
+        assert error == jnp.inf and np.array_equal(kept, guess)
