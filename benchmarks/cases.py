@@ -1,7 +1,6 @@
 """Defines the robot, mesh and time step of the speed benchmark."""
 
 import os
-from dataclasses import replace
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
@@ -18,10 +17,9 @@ from slider_jax import (
 from slider_jax.actuation import FirstOrderLag, SquareWave  # noqa: E402
 from slider_jax.beam.grid import split_cells  # noqa: E402
 from slider_jax.beam.parameters import Numerics, uniform_robot  # noqa: E402
-from slider_jax.dynamics.model import Drive, Model, SpaceSettings  # noqa: E402
+from slider_jax.dynamics.model import Drive, Model  # noqa: E402
 from slider_jax.dynamics.rollout import TimeGrid, rollout  # noqa: E402
 from slider_jax.effects import NormalDrag, ReactiveForce  # noqa: E402
-from slider_jax.spatial.step import spatial_rollout  # noqa: E402
 from slider_jax.supports import Clamped  # noqa: E402
 
 enable_float64()
@@ -46,13 +44,6 @@ def model(amplitude=250e3, **robot) -> Model:
     return jax.tree.map(lambda x: jnp.asarray(x, float), whole)
 
 
-def in_space(planar: Model) -> Model:
-    """Returns the robot in three dimensions, with chambers at 0.7 and -0.7 rad about the axis."""
-    body = planar.robot.with_parts(lambda p: replace(p, GJ=0.05, EI_n=0.152, polar_inertia=2e-5))
-    turned = replace(planar, robot=body, space=SpaceSettings(jnp.array([0.7, -0.7])))
-    return jax.tree.map(lambda x: jnp.asarray(x, float), turned)
-
-
 def numerics(nodes: int) -> Numerics:
     """Returns a mesh of `nodes`, divided between tail and body in proportion to their lengths."""
     return Numerics(*split_cells(nodes, 0.07, 0.3))
@@ -66,17 +57,6 @@ def run(model: Model, nodes=NODES, steps=STEPS, strides=STRIDES):
 
     times = TimeGrid.per_stride(FREQUENCY, steps, strides)
     out = rollout(model, times, save, numerics(nodes), checkpoint=False)
-    return out.saved, out.ok
-
-
-def run_in_space(model: Model, nodes=NODES):
-    """Returns thrust [N] and tip [m] as `run` does, for a robot in three dimensions."""
-
-    def save(x):
-        return jnp.stack([x.head_force(jnp.asarray(0.0))[0], x.positions()[1, 0]])
-
-    times = TimeGrid.per_stride(FREQUENCY, STEPS, STRIDES)
-    out = spatial_rollout(model, times, save, numerics(nodes), checkpoint=False)
     return out.saved, out.ok
 
 

@@ -9,7 +9,6 @@ adds tables and a plot of the cost against the number of nodes and the batch siz
 """
 
 import argparse
-import itertools
 import json
 import os
 import platform
@@ -124,36 +123,6 @@ def gradient_ratio(repeats: int) -> float:
     return sorted(ratios)[len(ratios) // 2]
 
 
-def cost_of_space(repeats: int, members=112, chunk=8) -> dict:
-    """Returns the costs in three dimensions and in the plane, and their ratio.
-
-    The two programs run in turns, one robot and a batch.
-    """
-    import jax
-    import jax.numpy as jnp
-    from cases import SECONDS, in_space, model, run, run_in_space, with_amplitude
-
-    def timed(simulate, robot) -> dict:
-        def member(amplitude):
-            series, ok = simulate(with_amplitude(robot, amplitude))
-            return series[-1], ok
-
-        one = jax.jit(simulate)
-        batch = jax.jit(lambda a: jax.lax.map(member, a, batch_size=chunk))
-        amplitudes = jnp.linspace(150e3, 300e3, members)
-        assert bool(one(robot)[1]) and bool(batch(amplitudes)[1].all())
-        return {"one": lambda: one(robot), "batch": lambda: batch(amplitudes)}
-
-    calls = {"plane": timed(run, model()), "space": timed(run_in_space, in_space(model()))}
-    sizes = {"one": SECONDS, "batch": members * SECONDS}
-    spent: dict = {kind: {form: [] for form in calls} for kind in sizes}
-    for _ in range(repeats):
-        for kind, form in itertools.product(sizes, calls):
-            spent[kind][form].append(least_cpu_seconds(calls[form][kind], 1) / sizes[kind])
-    costs = {kind: {form: min(x) for form, x in spent[kind].items()} for kind in sizes}
-    return {k: {**x, "ratio": x["space"] / x["plane"]} for k, x in costs.items()}
-
-
 def first_calls() -> dict:
     """Returns the wall time [s] of import, compilation and run, without and with a cache."""
     with tempfile.TemporaryDirectory() as cache:
@@ -236,7 +205,6 @@ def main() -> None:
     report["batch_of_112"] = batch_cost(112, options.repeats)
     report["one"] = {"timed": single_cost(options.repeats), "51 nodes": single_cost(5, 51)}
     report["one_with_sheet_tail"] = single_cost(options.repeats, **SHEET)
-    report["three_dimensions"] = cost_of_space(options.repeats)
     report["gradient_ratio"] = gradient_ratio(options.repeats)
     if options.peer_python:
         other = peer(options.peer_python)
