@@ -250,8 +250,8 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
     def run_stage(base: SpatialMemory, start: Quaternion, support, h, carry, factors, stage_inputs):
         """Returns the new carry, the stage with its solution, and the factors of a Jacobian.
 
-        `factors` are those of the stage before, and are usable if `later` is true. One
-        factorisation then serves both stages of a step.
+        `factors` come from the previous stage of this step, and are used if `later` is true. All
+        stages have the same gamma h, so one factorisation usually serves the whole step.
         """
         later, t, weight, predictor, chambers = stage_inputs
         memory = jax.tree.map(lambda b, q: b + weight * (q - b), base, carry.memory)
@@ -289,8 +289,10 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
         options = {"jacobian": spatial_jacobian, "scale": scale, "skip": ~carry.ok}
         if factors is not None:
             usable = later & carry.ok
-            guess, error = solver.improved(spatial_residual, guess, stage, factors, scale, usable)
-            options |= {"error": error, "factors": jax.lax.stop_gradient(factors)}
+            guess, error = solver.guess_with_factors(
+                spatial_residual, guess, stage, factors, scale, usable
+            )
+            options |= {"error": error, "factors": factors}
         solution: optx.Solution = optx.root_find(
             spatial_residual,
             solver,
@@ -335,7 +337,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             factorisations=carry.factorisations + solution.stats["num_steps"],
             failed_at=jnp.where(carry.ok & ~converged, t, carry.failed_at),
         )
-        return new, (stage, y), solution.state[1]
+        return new, (stage, y), jax.lax.stop_gradient(solution.state[1])
 
     def step(carry: SpatialCarry, inputs):
         t_start, h, chambers = inputs
@@ -354,13 +356,14 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             inner, _, factors = state
             return run_stage(base, start, support, h, inner, factors, stage_inputs), None
 
-        def first_stage(carry, row):
+        def outputs_of_stage(carry, row):
             _, (stage, y), _ = run_stage(base, start, support, h, carry, None, row)
-            return (stage, y), solver.factors(spatial_jacobian(y, stage))
+            reused = scheme.stages > 1
+            return (stage, y), solver.factors(spatial_jacobian(y, stage)) if reused else None
 
         later = jnp.arange(scheme.stages) > 0
         rows = (later, t_start + nodes * h, weights, predict, chambers)
-        shapes = jax.eval_shape(first_stage, carry, jax.tree.map(lambda x: x[0], rows))
+        shapes = jax.eval_shape(outputs_of_stage, carry, jax.tree.map(lambda x: x[0], rows))
         empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
         (carry, (stage, y), _), _ = jax.lax.scan(body, (carry, *empty), rows)
         last = Quaternion(*carry.frames[-1])

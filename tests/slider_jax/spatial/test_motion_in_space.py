@@ -230,7 +230,7 @@ class Balance(NamedTuple):
     """Kinetic and elastic energy."""
 
     @property
-    def left(self):
+    def residual(self):
         """The part of the actuators' power that no other term contains."""
         return self.actuators - self.stored_rate - self.lost - self.given
 
@@ -264,9 +264,9 @@ def test_the_powers_balance_at_every_step(with_tendon):
     numerics = replace(SMALL, tolerance=1e-11)
     save = lambda x: (balance(x), x.section().curvature.n)  # noqa: E731
     run = jax.jit(lambda m: spatial_rollout(m, TimeGrid(5e-3, 60), save, numerics))(model)
-    found, bent = run.saved
+    powers, bent = run.saved
     assert run.ok and np.abs(bent).max() > 0.5
-    np.testing.assert_allclose(found.left, 0.0, atol=1e-9 * np.abs(found.actuators).max())
+    np.testing.assert_allclose(powers.residual, 0.0, atol=1e-9 * np.abs(powers.actuators).max())
 
 
 @pytest.mark.slow
@@ -286,6 +286,29 @@ def test_the_energy_of_a_stride_closes():
     assert run.final.factorisations < 1.01 * times.steps
     stored = stride.energy[-1] - stride.energy[0]
     np.testing.assert_allclose(lost + given + stored, work, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_failed_robot_leaves_its_batch_unchanged():
+    """A second robot with an absurd moment fails; series and gradient of the first stay."""
+    numerics = replace(SMALL, max_newton=3)
+
+    def tip(K_Q):
+        model = strip_swimmer()
+        model = eqx.tree_at(lambda m: m.robot.K_Q, model, K_Q)
+        run = readings(model, 40, 0.05, numerics)
+        return jnp.sum(run.saved[-1]), (run.ok, run.final.factorisations)
+
+    sloped = jax.jit(jax.value_and_grad(tip, has_aux=True))
+    usual = strip_swimmer().robot.K_Q
+    (alone, (ok, count)), slope = sloped(usual)
+    (both, (oks, _)), slopes = jax.jit(jax.vmap(jax.value_and_grad(tip, has_aux=True)))(
+        jnp.stack([usual, 1e6 * usual])
+    )
+    assert ok and count < 1.1 * 40
+    assert list(oks) == [True, False]
+    np.testing.assert_allclose(both[0], alone, rtol=1e-12)
+    np.testing.assert_allclose(slopes[0], slope, rtol=1e-9)
 
 
 @pytest.mark.slow
