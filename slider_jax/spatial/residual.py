@@ -265,11 +265,11 @@ def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOp
     def derivative(function, values, directions) -> Float[Array, "12 n cells"]:
         return jnp.stack(jax.vmap(lambda d: jax.jvp(function, (values,), (d,))[1])(directions))
 
-    def rows(mid, slope, turning):
+    def rows(mid, slope, turning, tension=tension):
         return spatial_cell_rows(mid, slope, turning, stage, tension)
 
-    def at_tension(tension):
-        return spatial_cell_rows(mid, slope, turning, stage, tension)
+    def by_tension(tension):
+        return rows(mid, slope, turning, tension)
 
     def by_axial_force(T_tau):
         return rows(mid._replace(T=mid.T._replace(tau=T_tau)), slope, turning)
@@ -301,7 +301,7 @@ def spatial_jacobian(y: Float[Array, "12 nodes"], stage: SpatialStage) -> BeamOp
         right=jnp.concatenate([from_mid + from_slope, of_theta[:, 3:]], axis=1),
         tail=jnp.eye(6, 12, dtype=y.dtype),
         head=_head_jacobian(y[:, -1], at((psi, omega_by_theta), -1), stage),
-        update=_through_tensions(y, at_tension, stage),
+        update=_through_tensions(y, by_tension, stage),
     )
 
 
