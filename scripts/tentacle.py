@@ -1,12 +1,12 @@
-"""Predicts the markers of a soft arm with two tendons from the tensions.
+"""Fits a model of a soft arm with two tendons to known runs, and tests it on the given runs.
 
     SLIDER_DATA=../shared/data python scripts/tentacle.py MARKERS.csv --out results/tentacle
 
 MARKERS.csv has a row for each static run, with the columns of the file `tentacle/markers.csv` of
-the measured data. The script fits Young's modulus and the density to the runs in that file, and
-then searches for the effects that the model lacks. The model that makes the predictions has at most
-four fitted parameters. The script writes DIR/predictions.json, DIR/result.json and
-DIR/close_loop.json.
+the measured data. The script fits Young's modulus and the density to the runs in that file, not to
+MARKERS.csv, and then searches for the effects that the model lacks. The model that makes the
+predictions has at most four fitted parameters. The script writes DIR/predictions.json (errors of
+the predictions for MARKERS.csv), DIR/result.json and DIR/close_loop.json.
 """
 
 import argparse
@@ -78,7 +78,10 @@ def session_effects_apply(fit: ArmFit, problem: ArmProblem, runs: ArmRuns) -> bo
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description="Fits a model of a soft arm to the runs of SLIDER_DATA/tentacle/markers.csv, "
+        "and compares its predictions with the markers of the runs in MARKERS.csv."
+    )
     add = parser.add_argument
     add("markers", type=Path, metavar="MARKERS.csv", help="tensions and markers of the runs")
     add("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
@@ -116,7 +119,9 @@ def main(argv: list[str] | None = None) -> int:
     except (InputError, SolverError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    print(f"fitted to {known_runs()}, {len(known.sessions)} runs:")
     print("\n".join(table(search)))
+    print(f"compared with {given.markers}, {len(runs.sessions)} runs:")
     for title, found in result.items():
         print(f"{title}: mean distance {found['mean_distance_mm']:.2f} mm")
     progress(f"predictions.json, result.json and close_loop.json are in {given.out}")

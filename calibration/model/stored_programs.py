@@ -28,6 +28,7 @@ import jax
 
 import calibration
 import slider_jax
+from slider_jax.dynamics import block_kernel
 from slider_jax.io.files import effect_files, read_with_digest, versions, write_with_digest
 
 FOLDER = "slider_jax_programs"
@@ -100,8 +101,9 @@ def source_digest() -> str:
     """Returns the SHA-256 digest of the source files of both packages."""
     folders = [Path(str(package.__file__)).parent for package in (slider_jax, calibration)]
     digest = hashlib.sha256()
-    for path in (x for folder in folders for x in sorted(folder.rglob("*.py"))):
-        digest.update(path.read_bytes())
+    for path in (x for folder in folders for x in sorted(folder.rglob("*"))):
+        if path.suffix in (".py", ".cc"):
+            digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
@@ -121,7 +123,9 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callab
     if "<" in name or " at 0x" in text:  # the texts do not tell two such functions or objects apart
         return None
     shapes = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves]
-    key = json.dumps([name, text, shapes, versions(), _settings(), _processor()])
+    # A loaded program needs the compiled solver, which `problem` loads.
+    solver = block_kernel.problem() or block_kernel.library_digest()
+    key = json.dumps([name, text, shapes, versions(), _settings(), _processor(), solver])
     path = folders[-1] / hashlib.sha256(key.encode()).hexdigest()
     found = _loaded(path, leaves)
     if found is None:

@@ -187,7 +187,7 @@ def pages() -> dict[str, str]:
         "",
         "All files use SI units. If a number is outside its range, a key is unknown or a file is",
         "damaged, the command stops. It prints the file, the key and the allowed values. The",
-        "ranges detect wrong units, for example millimetres or kilopascals.",
+        "ranges detect many wrong units, for example millimetres or kilopascals.",
     ]
     for heading, (schema, purpose) in FILES.items():
         lines += ["", f"## {heading}", "", purpose]

@@ -102,9 +102,9 @@ class Numerics(eqx.Module):
 
     The mesh has N_p = `tail_cells` + `body_cells` + 1 nodes. Newton's method stops when the
     estimated error of a stage, relative to the sizes from `scales_of`, is below `tolerance`.
-    `max_newton` is the largest number of factorisations of the Jacobian per stage. In three
-    dimensions, a later stage of a step first makes steps with the factors of the stage before; they
-    stop at a thousandth of `tolerance`, and do not count.
+    The stages of a step share one factorisation of the Jacobian. The steps with it stop at a
+    thousandth of `tolerance`. If they do not converge, a stage makes up to `max_newton` further
+    factorisations.
     """
 
     tail_cells: int = eqx.field(static=True, default=10)

@@ -38,8 +38,9 @@ def prepare_jax() -> None:
         return
     import jax
 
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(home / "slider_jax")
+    from slider_jax.io.files import cache_folder
+
+    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(cache_folder())
     jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 

@@ -42,4 +42,10 @@ def rod_statics(
     state = "neutral" if abs(eigenvalue) <= NEUTRAL else state
     compared = " (1 without loads)" if case.table.rod.start == "clamped" else ""
     print(f"{state}: smallest eigenvalue {eigenvalue:.4g}{compared}")
+    if state == "unstable":
+        print(
+            "a real rod leaves this shape: a larger load to the side, or a small initial curvature, "
+            "leads to the bent shape",
+            file=sys.stderr,
+        )
     print(f"statics.json, shape.csv and shape.png are in {out}", file=sys.stderr)

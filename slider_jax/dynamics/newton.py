@@ -1,11 +1,9 @@
 """The root finder of an implicit stage, and its derivative by the implicit function theorem.
 
-`BeamNewton` reads five options. `options["jacobian"]` is a function (y, args) -> BeamOperator.
+`BeamNewton` reads four options. `options["jacobian"]` is a function (y, args) -> BeamOperator.
 `options["scale"]` is the scale of each unknown. If `options["skip"]` is true, the iteration stops
 before its first step. A failed robot therefore adds no iterations to a batch. `options["error"]`
-is the estimated error of the initial guess (default: infinite). If `options["factors"]` is given,
-the state of the solution contains the factors of the last iteration, or the given ones if there was
-no iteration. The iteration itself does not use the given factors.
+is the estimated error of the initial guess (default: infinite).
 
 `BeamAdjoint` differentiates the root with the same Jacobian. If one robot of a batch fails, only
 this robot's derivatives are invalid. Compiled programs do not call Python, so JAX can cache them.
@@ -28,7 +26,7 @@ ROUNDING = 1e-14
 ratio, close to 1, says nothing about the convergence: a straight robot that coasts has increments
 of 3e-17, whose ratio differs from 1 by 1e-9."""
 REUSE_TOLERANCE = 1e-3
-"""Factor on `rtol` for steps with the factors of an earlier stage. The error is relative to the
+"""Factor on `rtol` for steps with the factors of another stage. The error is relative to the
 scale of each unknown, but forces may be a hundred times smaller than their scale. With a factor of
 1, such forces differed by 8e-8 of their size from the planar program."""
 
@@ -59,21 +57,22 @@ class BeamNewton(optx.AbstractRootFinder):
     norm: Any = optx.max_norm
     corrections: int = 3
     max_reused: int = 8
-    linear_solver: BeamSolver = BeamSolver()
+    linear_solver: BeamSolver = BeamSolver(differentiable=False)
 
     def __check_init__(self):
-        if min(self.corrections, self.max_reused) < 2 or self.atol != 0.0:
+        few = min(self.corrections, self.max_reused) < 2
+        if few or self.atol != 0.0 or self.norm is not optx.max_norm:
             raise ValueError(
                 f"BeamNewton: given corrections={self.corrections}, max_reused={self.max_reused}, "
-                f"atol={self.atol}; allowed corrections and max_reused >= 2 (the last two steps "
-                "give the convergence rate) and atol = 0"
+                f"atol={self.atol}, norm={self.norm}; allowed corrections and max_reused >= 2 (the "
+                "last two steps give the convergence rate), atol = 0 and norm = optx.max_norm"
             )
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        return options.get("error", jnp.asarray(jnp.inf, y.dtype)), options.get("factors")
+        return options.get("error", jnp.asarray(jnp.inf, y.dtype))
 
     def step(self, fn, y, args, options, state, tags):
-        factors = self.factors(options["jacobian"](y, args))
+        factors = self.factors(options["jacobian"], y, args)
 
         def residual(y):
             return fn(y, args)[0]
@@ -83,21 +82,19 @@ class BeamNewton(optx.AbstractRootFinder):
 
         infinite = jnp.asarray(jnp.inf, y.dtype)
         y, *sizes = jax.lax.fori_loop(0, self.corrections, correct, (y, infinite, infinite))
-        _, kept = state
-        return y, (_error(*sizes), None if kept is None else factors), fn(y, args)[1]
+        return y, _error(*sizes), fn(y, args)[1]
 
     def terminate(self, fn, y, args, options, state, tags):
-        error, _ = state
-        bad = jnp.isnan(error)
+        bad = jnp.isnan(state)
         result = optx.RESULTS.where(bad, optx.RESULTS.nonfinite, optx.RESULTS.successful)
-        return bad | (error < self.rtol) | options["skip"], result
+        return bad | (state < self.rtol) | options["skip"], result
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         return y, aux, {}
 
-    def factors(self, jacobian: BeamOperator) -> Any:
-        """Returns the factors of a Jacobian."""
-        factors, _ = self.linear_solver.init(jacobian, {})
+    def factors(self, jacobian: Callable[[Any, Any], BeamOperator], y, args) -> Any:
+        """Returns the factors of jacobian(y, args), without derivatives."""
+        factors, _ = self.linear_solver.init(jacobian(*jax.lax.stop_gradient((y, args))), {})
         return factors
 
     def guess_with_factors(self, fn, guess, args, factors, scale, usable) -> tuple[Any, Any]:
@@ -112,26 +109,30 @@ class BeamNewton(optx.AbstractRootFinder):
         infinite = jnp.asarray(jnp.inf, guess.dtype)
         limit = max(REUSE_TOLERANCE * self.rtol, ROUNDING)
 
+        def better(values):
+            return self._simplified_step(lambda y: fn(y, args), factors, scale, values)
+
         def unfinished(state):
             count, (_, *sizes) = state
             return usable & (count < self.max_reused) & (_error(*sizes) >= limit)
 
-        def correct(state):
-            count, values = state
-            return count + 1, self._simplified_step(lambda y: fn(y, args), factors, scale, values)
-
-        start = 0, (guess, infinite, infinite)
-        _, (y, *sizes) = jax.lax.while_loop(unfinished, correct, start)
+        # Every stage needs the first steps. Without a condition, a batch computes them faster.
+        first = jax.lax.fori_loop(
+            0, self.corrections, lambda _, values: better(values), (guess, infinite, infinite)
+        )
+        start = self.corrections, first
+        _, (y, *sizes) = jax.lax.while_loop(
+            unfinished, lambda state: (state[0] + 1, better(state[1])), start
+        )
         error = _error(*sizes)
-        found = error < limit
+        found = usable & (error < limit)
         return jnp.where(found, y, guess), jnp.where(found, error, infinite)
 
     def _simplified_step(self, residual, factors, scale, values):
         """Returns y after one more step with the factors, and the sizes of the last two steps."""
         y, _, before = values
-        change, _, _ = self.linear_solver.compute((factors, False), residual(y), {})
-        size = self.norm(change / jnp.maximum(scale, jnp.abs(y)))
-        return y - change, before, size
+        y, size = self.linear_solver.correct(factors, residual(y), y, scale)
+        return y, before, size
 
 
 def _error(before, last):

@@ -147,7 +147,8 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     predict = jnp.asarray(extrapolation(scheme))
     nodes, weights = jnp.asarray(scheme.nodes), jnp.asarray(scheme.weights)
 
-    def run_stage(base, support, h, carry, stage_inputs):
+    def stage_of(base, support, h, carry, stage_inputs):
+        """Returns the guess of the solution, the stage, and the head's place for a solution."""
         t, weight, predictor, chambers, shape = stage_inputs
         reference = _blend(base, carry.memory, weight)
         dt = scheme.gamma * h
@@ -168,7 +169,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             eps = strain(mesh.grid.mid(guess[0]), mesh.structure, at_reference)
             return mesh.grid.mid(node_positions(guess[5], eps, head_of(guess), mesh.grid))
 
-        guess = jnp.tensordot(predictor, carry.history, 1)
+        guess = sum(w * y for w, y in zip(predictor, carry.history, strict=True))
         stage = Stage(
             structure=mesh.under(chambers.acting),
             effects=model.effects,
@@ -183,12 +184,19 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             actuators=model.actuators,
             shape=shape,
         )
-        solution = optx.root_find(
+        return guess, stage, head_of
+
+    def run_stage(base, support, h, factors, carry, stage_inputs):
+        """Returns the new carry and the stage; `factors` belong to the first stage of the step."""
+        t, *_, chambers, _ = stage_inputs
+        guess, stage, head_of = stage_of(base, support, h, carry, stage_inputs)
+        guess, error = solver.guess_with_factors(residual, guess, stage, factors, scale, carry.ok)
+        solution: optx.Solution = optx.root_find(
             residual,
             solver,
             guess,
             args=stage,
-            options={"jacobian": jacobian, "scale": scale, "skip": ~carry.ok},
+            options={"jacobian": jacobian, "scale": scale, "skip": ~carry.ok, "error": error},
             max_steps=numerics.max_newton,
             adjoint=BeamAdjoint(),
             throw=False,
@@ -201,7 +209,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             motion=y[3:],
             strain=section.strain,
             head=head_of(y),
-            load=reference.load + dt * load_rates(y[:, -1], stage),
+            load=stage.load_head + stage.reference.dt * load_rates(y[:, -1], stage),
             internal=tuple(z for _, z in internal_moments(section, stage)),
         )
         memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), solved, carry.memory)
@@ -219,17 +227,20 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         t_start, h, chambers = inputs
         times = t_start + nodes * h
         support = model.support.during(t_start, t_start + h)
-        one_stage = ft.partial(run_stage, carry.memory, support, h)
-
-        def body(state, stage_inputs):
-            inner, _ = state
-            return one_stage(inner, stage_inputs), None
-
         shapes = shape_in_step(model.actuators, mesh.structure, scheme, t_start, h)
         rows = (times, weights, predict, chambers, shapes)
-        empty = jax.eval_shape(one_stage, carry, jax.tree.map(lambda x: x[0], rows))[1]
-        placeholder = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), empty)
-        (carry, stage), _ = jax.lax.scan(body, (carry, placeholder), rows)
+        first = jax.tree.map(lambda x: x[0], rows)
+        # All stages have the same gamma h, so one factorisation usually serves the whole step.
+        count = carry.factorisations + jnp.where(carry.ok, 1, 0)
+        carry = eqx.tree_at(lambda c: c.factorisations, carry, count)
+        guess, stage, _ = stage_of(carry.memory, support, h, carry, first)
+        factors = solver.factors(jacobian, guess, stage)
+        one_stage = ft.partial(run_stage, carry.memory, support, h, factors)
+
+        def body(state, stage_inputs):
+            return one_stage(state[0], stage_inputs), None
+
+        (carry, stage), _ = jax.lax.scan(body, (carry, stage), rows)
         y = carry.history[-1]
         return carry, Snapshot(times[-1], y, carry.memory, stage, mesh, carry.chambers)
 

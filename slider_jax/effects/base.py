@@ -120,6 +120,11 @@ class Effect(eqx.Module):
         """Returns g times the upward unit vector (x, y, z) [m/s^2]; None without weight."""
         return None
 
+    needed_in_space: ClassVar[tuple[str, ...]] = ()
+    """Fields that an experiment file with dimension = 3 must state."""
+    needs_density: ClassVar[tuple[str, ...]] = ()
+    """Fields that act only on a robot with a density, and so with a displaced volume."""
+
     @classmethod
     def name(cls) -> str:
         """Returns the class's name in lower case with underscores, as in files and reports."""

@@ -79,12 +79,15 @@ def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experimen
     experiment._folder = folder
     for index, table in enumerate(experiment.effects):
         effect = _effect(table, f"{source}: effects.{index}")
-        if experiment.dimension == 3 and not in_space(effect):
-            known = [name for name, kind in KNOWN_EFFECTS.items() if in_space(kind)]
-            raise InputError(
-                f"{source}: effects.{index}.name: given {table.name!r}, which is defined in the "
-                f"plane only; allowed with dimension = 3: {', '.join(known)}"
-            )
+        if experiment.dimension == 3:
+            _require_space(effect, table, f"{source}: effects.{index}")
+        for key in effect.needs_density:
+            if getattr(effect, key) and not experiment.robot.has_density:
+                raise InputError(
+                    f"{source}: effects.{index}.{key}: given {getattr(effect, key)}, but the robot "
+                    "displaces no water without a density; add robot.density, or a density of each "
+                    "segment"
+                )
     try:
         experiment.channels  # noqa: B018  (two channels must not have the same name or column)
     except InputError as error:
@@ -155,6 +158,22 @@ def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
         "stride_frequency": trial.frequency or 1.0,
         "tow_speed": trial.tow_speed,
     }
+
+
+def _require_space(effect: Effect, table: EffectTable, where: str) -> None:
+    """Refuses an effect that is planar only, or whose table omits what it needs in space."""
+    if not in_space(effect):
+        known = [name for name, kind in LIBRARY.items() if in_space(kind)]
+        raise InputError(
+            f"{where}.name: given {table.name!r}, which is defined in the plane only; allowed with "
+            f"dimension = 3: {', '.join(known)}"
+        )
+    for name in effect.needed_in_space:
+        if name not in (table.model_extra or {}):
+            raise InputError(
+                f"{where}.{name}: missing; with dimension = 3, add this key to the effect "
+                f"{table.name!r}; slider effects {table.name} explains it"
+            )
 
 
 def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = None) -> Effect:

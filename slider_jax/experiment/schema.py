@@ -58,6 +58,11 @@ class BodyTable(Table):
     width: Width | None = None
 
     @property
+    def has_density(self) -> bool:
+        """Whether the robot displaces water."""
+        return self.density is not None
+
+    @property
     def own_chambers(self) -> tuple[ChamberTable, ...]:
         """The chambers of the keys `front_chamber` and `rear_chamber`."""
         spans = {"front": self.front_chamber, "rear": self.rear_chamber}
@@ -176,6 +181,10 @@ class SegmentedRobotTable(BodyTable):
     @property
     def files(self) -> list[str]:
         return sorted({x.profile for x in self.segments if x.profile is not None})
+
+    @property
+    def has_density(self) -> bool:
+        return any(self.density_of(x) is not None for x in self.segments)
 
     def density_of(self, segment: SegmentTable) -> float | None:
         """Returns the mean density [kg/m^3] of a segment."""

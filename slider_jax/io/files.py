@@ -24,6 +24,12 @@ LOADED_FILES: dict[Path, str] = {}
 """SHA-256 digests of the files from which effects were loaded, at the time of loading."""
 
 
+def cache_folder() -> Path:
+    """Returns the user's cache folder for files that can be made again."""
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "slider_jax"
+
+
 def output_folder(path: Path | str) -> Path:
     """Returns the folder `path`, created if missing. Raises `InputError` if not writable."""
     path = Path(path)

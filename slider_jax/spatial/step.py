@@ -1,5 +1,6 @@
 """Time steps and series of time steps of a robot in three dimensions."""
 
+import functools as ft
 from collections.abc import Callable
 from typing import Any
 
@@ -247,13 +248,9 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
     def mean_of(x: Float[Array, "3 nodes"]) -> Vec:
         return Vec(*grid.mid(x))
 
-    def run_stage(base: SpatialMemory, start: Quaternion, support, h, carry, factors, stage_inputs):
-        """Returns the new carry, the stage with its solution, and the factors of a Jacobian.
-
-        `factors` come from the previous stage of this step, and are used if `later` is true. All
-        stages have the same gamma h, so one factorisation usually serves the whole step.
-        """
-        later, t, weight, predictor, chambers = stage_inputs
+    def stage_of(base: SpatialMemory, start: Quaternion, support, h, carry, stage_inputs):
+        """Returns guess of the solution, stage, last solution, and the anchor's reference place."""
+        t, weight, predictor, chambers = stage_inputs
         memory = jax.tree.map(lambda b, q: b + weight * (q - b), base, carry.memory)
         dt = scheme.gamma * h
         slope = jnp.asarray(jnp.gradient(predictor @ carry.twist, grid.mid(grid.s)))
@@ -285,27 +282,35 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             return jnp.stack(rotation_vector(start.inverse().after(Quaternion(*frames))))
 
         known = jnp.concatenate([carry.history, jax.vmap(theta_of)(carry.frames)], axis=1)
-        guess = jnp.tensordot(predictor, known, 1)
-        options = {"jacobian": spatial_jacobian, "scale": scale, "skip": ~carry.ok}
-        if factors is not None:
-            usable = later & carry.ok
-            guess, error = solver.guess_with_factors(
-                spatial_residual, guess, stage, factors, scale, usable
-            )
-            options |= {"error": error, "factors": factors}
+        guess = sum(w * y for w, y in zip(predictor, known, strict=True))
+        return guess, stage, known[-1], memory.head
+
+    def run_stage(base, start, support, h, factors, carry, stage_inputs):
+        """Returns the new carry, and the stage with its solution.
+
+        `factors` belong to the first stage of the step.
+        """
+        t, *_, chambers = stage_inputs
+        guess, stage, last, anchor = stage_of(base, start, support, h, carry, stage_inputs)
+        dt = stage.reference.dt
+        guess, error = solver.guess_with_factors(
+            spatial_residual, guess, stage, factors, scale, carry.ok
+        )
         solution: optx.Solution = optx.root_find(
             spatial_residual,
             solver,
             guess,
             args=stage,
-            options=options,
+            options={
+                "jacobian": spatial_jacobian, "scale": scale, "skip": ~carry.ok, "error": error
+            },
             max_steps=numerics.max_newton,
             adjoint=BeamAdjoint(),
             throw=False,
-        )
+        )  # fmt: skip
         converged = solution.result == optx.RESULTS.successful
         ok = carry.ok & converged
-        y = jnp.where(ok, solution.value, known[-1])
+        y = jnp.where(ok, solution.value, last)
         _, _, V, theta = vectors(y)
         frame, omega = frame_and_omega(theta, stage)
         frame = unit(frame)
@@ -313,7 +318,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
         arm = support.anchor_in_space(t)
         head_frame, head_omega = at(frame, -1), at(omega, -1)
         anchor_speed = head_frame.to_space(at(V, -1).plus(head_omega.cross(arm)))
-        anchor = memory.head + dt * anchor_speed
+        anchor = anchor + dt * anchor_speed
         solved = SpatialMemory(
             V=jnp.stack(V),
             omega=jnp.stack(omega),
@@ -337,7 +342,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             factorisations=carry.factorisations + solution.stats["num_steps"],
             failed_at=jnp.where(carry.ok & ~converged, t, carry.failed_at),
         )
-        return new, (stage, y), jax.lax.stop_gradient(solution.state[1])
+        return new, (stage, y)
 
     def step(carry: SpatialCarry, inputs):
         t_start, h, chambers = inputs
@@ -352,20 +357,19 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
         )
         carry = eqx.tree_at(lambda c: c.memory, carry, base)
 
+        rows = (t_start + nodes * h, weights, predict, chambers)
+        first = jax.tree.map(lambda x: x[0], rows)
+        # All stages have the same gamma h, so one factorisation usually serves the whole step.
+        count = carry.factorisations + jnp.where(carry.ok, 1, 0)
+        carry = eqx.tree_at(lambda c: c.factorisations, carry, count)
+        guess, stage, y, _ = stage_of(base, start, support, h, carry, first)
+        factors = solver.factors(spatial_jacobian, guess, stage)
+        one_stage = ft.partial(run_stage, base, start, support, h, factors)
+
         def body(state, stage_inputs):
-            inner, _, factors = state
-            return run_stage(base, start, support, h, inner, factors, stage_inputs), None
+            return one_stage(state[0], stage_inputs), None
 
-        def outputs_of_stage(carry, row):
-            _, (stage, y), _ = run_stage(base, start, support, h, carry, None, row)
-            reused = scheme.stages > 1
-            return (stage, y), solver.factors(spatial_jacobian(y, stage)) if reused else None
-
-        later = jnp.arange(scheme.stages) > 0
-        rows = (later, t_start + nodes * h, weights, predict, chambers)
-        shapes = jax.eval_shape(outputs_of_stage, carry, jax.tree.map(lambda x: x[0], rows))
-        empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-        (carry, (stage, y), _), _ = jax.lax.scan(body, (carry, *empty), rows)
+        (carry, (stage, y)), _ = jax.lax.scan(body, (carry, (stage, y)), rows)
         last = Quaternion(*carry.frames[-1])
         end = at(last, -1).to_space(support.anchor_in_space(t_start + h))
         carry = eqx.tree_at(lambda c: c.memory.head, carry, carry.memory.head - end)

@@ -85,7 +85,8 @@ def _axes(table: Table, tangent: str, normal: str) -> None:
             fail(name, list(getattr(table, name)), "a vector that is not zero")
     t, n = np.array(getattr(table, tangent)), np.array(getattr(table, normal))
     if abs(t @ n) > ROUNDING * np.linalg.norm(t) * np.linalg.norm(n):
-        fail(normal, n.tolist(), "a vector at a right angle to the tangent")
+        stated = n.tolist() if normal in table.model_fields_set else f"nothing, so {n.tolist()}"
+        fail(normal, stated, "a vector at a right angle to the tangent")
 
 
 class EndTable(Table):

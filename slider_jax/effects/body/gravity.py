@@ -30,6 +30,8 @@ class Gravity(ForceDensity):
     order = 400
     segments = ("body", "tail")
     is_candidate = False
+    needed_in_space = ("elevation",)
+    needs_density = ("buoyancy_n", "buoyancy_b")
     in_air = True
 
     g: Scalar = parameter(

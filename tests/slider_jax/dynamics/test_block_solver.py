@@ -162,7 +162,7 @@ def test_steps_with_the_factors_of_another_stage_find_the_root_or_keep_the_guess
 
     @jax.jit
     def with_factors_of(other, usable):
-        factors = solver.factors(jacobian(exact, other))
+        factors = solver.factors(jacobian, exact, other)
         return solver.guess_with_factors(residual, guess, stage, factors, scale, usable)
 
     near = eqx.tree_at(lambda s: s.active_moment, stage, 1.05 * stage.active_moment)

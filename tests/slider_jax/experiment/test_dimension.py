@@ -173,6 +173,11 @@ BAD = [
     ({"trials__0__roll": 30.0}, "trials.0.roll"),
     ({"effects": [{"name": "tail_stiffness"}]}, "effects.0.name: given 'tail_stiffness', which is"),
     ({"effects": [{"name": "gravity", "elevation": "up"}]}, "effects.0.elevation"),
+    ({"effects": [{"name": "gravity", "g": 9.81}]}, "effects.0.elevation: missing; with dimension"),
+    (
+        {"effects": [{"name": "gravity", "elevation": 1.5708, "buoyancy_b": 0.005}]},
+        "effects.0.buoyancy_b: given 0.005, but the robot displaces no water",
+    ),
     ({"water": {"field": "field.npz"}}, "water.field: given a velocity field; allowed nothing"),
 ]
 

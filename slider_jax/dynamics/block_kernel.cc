@@ -1,0 +1,704 @@
+// Factorises and solves the block systems of `block_solver.py`, as custom calls of XLA.
+//
+// Each node has K forces f and K components of motion v; 2K equations connect the nodes of a cell:
+//
+//     L_f f_c + L_v v_c + R_f f_{c+1} + R_v v_{c+1} = r_c
+//
+// The part of the body behind node c acts like f_c = P_c v_c + p_c. From the tail to the head, each
+// cell gives its left motion and its right forces from the right motion:
+//
+//     (v_c, f_{c+1}) = B r_c + C p_c + D v_{c+1},    B = [L_v + L_f P_c, R_f]^-1,
+//     C = -B L_f,    D = -B R_v,    P_{c+1} = D_f,    p_{c+1} = (B r_c + C p_c)_f
+//
+// The suffixes v and f are the upper and the lower K rows. The conditions at the head give the motion
+// there, and the way back gives all other unknowns. The inverses need no row exchange: a body with
+// given forces behind and given motion ahead always has a solution, and the rows are in the order
+// stretch, turn, moment law, balances, so diagonal entries are of order 1/ds.
+//
+// The factors of a robot are B, C and D (8 K^2 numbers per cell) and, for the ends, tail_f, P_0,
+// head_v and H_f (K^2 numbers each). The robots of a batch are factorised LANES at a time, with one
+// robot per lane of a vector. The arithmetic of a robot does not depend on the other robots.
+
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <utility>
+#include <vector>
+
+#include "xla/ffi/api/ffi.h"
+
+namespace ffi = xla::ffi;
+
+namespace {
+
+constexpr int LANES = 8;
+typedef double Vec __attribute__((vector_size(8 * LANES)));
+typedef double Unaligned __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
+
+inline Vec load(const double* x) { return *reinterpret_cast<const Unaligned*>(x); }
+inline void store(double* x, Vec v) { *reinterpret_cast<Unaligned*>(x) = v; }
+
+constexpr int64_t padded(int64_t cells) { return (cells + LANES - 1) / LANES * LANES; }
+
+template <int K>
+constexpr int64_t factor_size(int64_t cells) {
+  return 8 * K * K * padded(cells) + 4 * K * K;
+}
+
+// The parts of the factors. Rows: entry (i, j) of cell c of a matrix is at (i * columns + j) * stride
+// + c. The matrices of the two passes along the body are together for each cell.
+template <int K, class T>
+struct Factors {
+  int64_t stride;
+  T *B, *C_v, *D_f, *passes, *tail_f, *P, *head_v, *H_f;
+
+  Factors(T* x, int64_t cells)
+      : stride(padded(cells)),
+        B(x),
+        C_v(B + 4 * K * K * stride),
+        D_f(C_v + K * K * stride),
+        passes(D_f + K * K * stride),
+        tail_f(passes + 2 * K * K * stride),
+        P(tail_f + K * K),
+        head_v(P + K * K),
+        H_f(head_v + K * K) {}
+
+  T* C_f(int64_t c) const { return passes + c * 2 * K * K; }
+  T* D_v(int64_t c) const { return C_f(c) + K * K; }
+};
+
+// Inverts a K x K matrix with partial pivoting.
+template <int K>
+void invert(double (&a)[K][K], double* inverse) {
+  double b[K][K] = {};
+  for (int i = 0; i < K; i++) b[i][i] = 1.0;
+  for (int p = 0; p < K; p++) {
+    int best = p;
+    for (int i = p + 1; i < K; i++)
+      if (std::abs(a[i][p]) > std::abs(a[best][p])) best = i;
+    for (int j = 0; j < K; j++) {
+      std::swap(a[p][j], a[best][j]);
+      std::swap(b[p][j], b[best][j]);
+    }
+    const double scale = 1.0 / a[p][p];
+    for (int j = 0; j < K; j++) {
+      a[p][j] *= scale;
+      b[p][j] *= scale;
+    }
+    for (int i = 0; i < K; i++) {
+      if (i == p) continue;
+      const double factor = a[i][p];
+      for (int j = 0; j < K; j++) {
+        a[i][j] -= factor * a[p][j];
+        b[i][j] -= factor * b[p][j];
+      }
+    }
+  }
+  std::memcpy(inverse, b, sizeof(b));
+}
+
+// Inverts a 3 x 3 matrix by cofactors.
+template <class X>
+inline void invert_3(const X (&a)[3][3], X (&b)[3][3]) {
+  for (int i = 0; i < 3; i++) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    for (int l = 0; l < 3; l++) {
+      const int m = (l + 1) % 3, n = (l + 2) % 3;
+      b[l][i] = a[j][m] * a[k][n] - a[j][n] * a[k][m];
+    }
+  }
+  const X scale = 1.0 / (a[0][0] * b[0][0] + a[0][1] * b[1][0] + a[0][2] * b[2][0]);
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) b[i][j] *= scale;
+}
+
+// Inverts a matrix by Gauss-Jordan elimination with blocks of 3 x 3, without row exchange. X is a
+// number, or a vector that contains a number of each of several robots. Such functions of small
+// matrices stay functions: inlined into a long one, they were compiled to slower code.
+template <int N, class X>
+[[gnu::noinline]] void invert_in_place(X (&a)[N][N]) {
+#pragma GCC unroll 1
+  for (int p = 0; p < N; p += 3) {
+    X block[3][3], pivot[3][3], rows[3][N];
+#pragma GCC unroll 3
+    for (int i = 0; i < 3; i++)
+#pragma GCC unroll 3
+      for (int j = 0; j < 3; j++) block[i][j] = a[p + i][p + j];
+    invert_3(block, pivot);
+#pragma GCC unroll 3
+    for (int i = 0; i < 3; i++)
+#pragma GCC unroll 3
+      for (int j = 0; j < 3; j++) a[p + i][p + j] = i == j ? X{} + 1.0 : X{};
+#pragma GCC unroll 3
+    for (int i = 0; i < 3; i++)
+#pragma GCC unroll 16
+      for (int j = 0; j < N; j++)
+        rows[i][j] = pivot[i][0] * a[p][j] + pivot[i][1] * a[p + 1][j] + pivot[i][2] * a[p + 2][j];
+#pragma GCC unroll 1
+    for (int i = 0; i < N; i++) {
+      const X x = a[i][p], y = a[i][p + 1], z = a[i][p + 2];
+      a[i][p] = a[i][p + 1] = a[i][p + 2] = X{};
+#pragma GCC unroll 16
+      for (int j = 0; j < N; j++) a[i][j] -= x * rows[0][j] + y * rows[1][j] + z * rows[2][j];
+    }
+#pragma GCC unroll 3
+    for (int i = 0; i < 3; i++)
+#pragma GCC unroll 16
+      for (int j = 0; j < N; j++) a[p + i][j] = rows[i][j];
+  }
+}
+
+// c = a b, and c += a b.
+template <bool ADD, int M, int N, int L, class X>
+[[gnu::noinline]] void product(const X (&a)[M][N], const X (&b)[N][L], X (&c)[M][L]) {
+#pragma GCC unroll 1
+  for (int i = 0; i < M; i++) {
+    X sum[L];
+#pragma GCC unroll 16
+    for (int j = 0; j < L; j++) sum[j] = ADD ? c[i][j] + a[i][0] * b[0][j] : a[i][0] * b[0][j];
+#pragma GCC unroll 1
+    for (int k = 1; k < N; k++) {
+#pragma GCC unroll 16
+      for (int j = 0; j < L; j++) sum[j] += a[i][k] * b[k][j];
+    }
+#pragma GCC unroll 16
+    for (int j = 0; j < L; j++) c[i][j] = sum[j];
+  }
+}
+template <int M, int N, int L, class X>
+void multiply(const X (&a)[M][N], const X (&b)[N][L], X (&c)[M][L]) {
+  product<false>(a, b, c);
+}
+template <int M, int N, int L, class X>
+void multiply_add(const X (&a)[M][N], const X (&b)[N][L], X (&c)[M][L]) {
+  product<true>(a, b, c);
+}
+
+// Memory that grows, and stays for the next call of its thread.
+template <int WHICH, class X>
+X* work_of(size_t size) {
+  static thread_local std::vector<double> work;
+  const size_t spare = sizeof(Vec) / sizeof(double);
+  if (work.size() < size * (sizeof(X) / 8) + spare) work.resize(size * (sizeof(X) / 8) + spare);
+  const auto at = reinterpret_cast<uintptr_t>(work.data());
+  return reinterpret_cast<X*>((at + sizeof(Vec) - 1) / sizeof(Vec) * sizeof(Vec));
+}
+
+typedef long long Order __attribute__((vector_size(8 * LANES)));
+
+// The lanes of two vectors x, y that exchange the halves of their blocks of 2 * HALF lanes.
+template <int HALF, bool SECOND, size_t... LANE>
+constexpr Order order_of(std::index_sequence<LANE...>) {
+  return Order{(long long)(SECOND ? (LANE & HALF ? LANES + LANE : LANE + HALF)
+                                  : (LANE & HALF ? LANES + LANE - HALF : LANE))...};
+}
+
+template <int HALF>
+inline void exchange(Vec (&a)[LANES]) {
+  constexpr auto all = std::make_index_sequence<LANES>();
+  constexpr Order first = order_of<HALF, false>(all), second = order_of<HALF, true>(all);
+#pragma GCC unroll 8
+  for (int i = 0; i < LANES; i++) {
+    if (i & HALF) continue;
+    const Vec x = a[i], y = a[i + HALF];
+    a[i] = __builtin_shuffle(x, y, first);
+    a[i + HALF] = __builtin_shuffle(x, y, second);
+  }
+}
+
+// Exchanges rows and columns: lane j of vector i becomes lane i of vector j.
+inline void transpose(Vec (&a)[LANES]) {
+  exchange<4>(a);
+  exchange<2>(a);
+  exchange<1>(a);
+}
+
+template <class X>
+inline double* lanes(X& x) {
+  return reinterpret_cast<double*>(&x);
+}
+
+// Replaces the matrices L and R of a cell by B, and the halves of C and D in the order C_v, D_f, C_f,
+// D_v. P of the left node becomes P of the right node.
+template <int K, class X>
+[[gnu::noinline]] void factorise_cell(X* entries, X (&P)[K][K]) {
+  constexpr int N = 2 * K;
+  X A[N][N], L_f[N][K], R_v[N][K], C[N][K], D[N][K];
+  for (int i = 0; i < N; i++)
+    for (int k = 0; k < K; k++) {
+      const X *left = entries + i * N, *right = left + N * N;
+      L_f[i][k] = -left[k];
+      C[i][k] = -left[K + k];
+      A[i][K + k] = right[k];
+      R_v[i][k] = -right[K + k];
+    }
+  multiply_add(L_f, P, C);
+  for (int i = 0; i < N; i++)
+    for (int k = 0; k < K; k++) A[i][k] = -C[i][k];
+  invert_in_place(A);
+  multiply(A, L_f, C);
+  multiply(A, R_v, D);
+  std::memcpy(entries, A, sizeof(A));
+  X* rest = entries + N * N;
+  std::memcpy(rest, C[0], sizeof(P));
+  std::memcpy(rest + K * K, D[K], sizeof(P));
+  std::memcpy(rest + 2 * K * K, C[K], sizeof(P));
+  std::memcpy(rest + 3 * K * K, D[0], sizeof(P));
+  std::memcpy(P, D[K], sizeof(P));
+}
+
+// Reads a number of LANES cells from each of G rows into lane g of x[0], x[step], ...
+template <int G, class X>
+inline void read_cells(const double* const* rows, X* x, int step, int64_t inside) {
+  if constexpr (G == 1) {
+    for (int64_t c = 0; c < inside; c++) x[c * step] = rows[0][c];
+  } else {
+    Vec of_cells[LANES];
+    for (int g = 0; g < G; g++) of_cells[g] = load(rows[g]);
+    transpose(of_cells);
+    for (int c = 0; c < LANES; c++) x[c * step] = of_cells[c];
+  }
+}
+
+template <int G, class X>
+inline void write_cells(const X* x, int step, double* const* rows) {
+  if constexpr (G == 1) {
+    for (int c = 0; c < LANES; c++) rows[0][c] = x[c * step];
+  } else {
+    Vec of_robots[LANES];
+    for (int c = 0; c < LANES; c++) of_robots[c] = x[c * step];
+    transpose(of_robots);
+    for (int g = 0; g < G; g++) store(rows[g], of_robots[g]);
+  }
+}
+
+// Factorises G robots: one, or LANES of them. X is a number of one robot, or a vector with one number
+// of each robot.
+template <int K, class X>
+void factorise(const double* const* left, const double* const* right, const double* const* tail,
+               const double* const* head, double* const* factors, int64_t cells) {
+  constexpr int N = 2 * K, G = sizeof(X) / sizeof(double), entries = 8 * K * K;
+  const int64_t stride = padded(cells);
+  X* tile = work_of<0, X>(LANES * entries);
+  double last[2 * G][LANES] = {};
+  X P[K][K];
+  for (int g = 0; g < G; g++) {
+    const Factors<K, double> x(factors[g], cells);
+    double G_f[K][K];
+    for (int i = 0; i < K; i++)
+      for (int j = 0; j < K; j++) G_f[i][j] = tail[g][i * N + j];
+    invert(G_f, x.tail_f);
+    for (int i = 0; i < K; i++)
+      for (int j = 0; j < K; j++) {
+        double sum = 0.0;
+        for (int m = 0; m < K; m++) sum -= x.tail_f[i * K + m] * tail[g][m * N + K + j];
+        x.P[i * K + j] = lanes(P[i][j])[g] = sum;
+      }
+  }
+  for (int64_t first = 0; first < cells; first += LANES) {
+    const int64_t inside = cells - first < LANES ? cells - first : LANES;
+    for (int e = 0; e < N * N; e++) {
+      const double *l[G], *r[G];
+      for (int g = 0; g < G; g++) {
+        l[g] = left[g] + e * cells + first;
+        r[g] = right[g] + e * cells + first;
+        // A vector may read into the next row, but not beyond the matrix.
+        if (e < N * N - LANES || inside == LANES) continue;
+        std::memcpy(last[g], l[g], inside * sizeof(double));
+        std::memcpy(last[G + g], r[g], inside * sizeof(double));
+        l[g] = last[g];
+        r[g] = last[G + g];
+      }
+      read_cells<G>(l, tile + e, entries, inside);
+      read_cells<G>(r, tile + N * N + e, entries, inside);
+    }
+    for (int64_t c = 0; c < inside; c++) factorise_cell(tile + c * entries, P);
+    std::memset(tile + inside * entries, 0, (LANES - inside) * entries * sizeof(X));
+    for (int e = 0; e < N * N + N * K; e++) {
+      double* rows[G];
+      for (int g = 0; g < G; g++) rows[g] = factors[g] + e * stride + first;
+      write_cells<G>(tile + e, entries, rows);
+    }
+    for (int g = 0; g < G; g++) {
+      const Factors<K, double> x(factors[g], cells);
+      for (int64_t c = 0; c < LANES; c++)
+        for (int e = 0; e < N * K; e++)
+          x.C_f(first + c)[e] = lanes(tile[c * entries + N * N + N * K + e])[g];
+    }
+  }
+  for (int g = 0; g < G; g++) {
+    const Factors<K, double> x(factors[g], cells);
+    double H[K][K];
+    for (int i = 0; i < K; i++)
+      for (int j = 0; j < K; j++) {
+        double sum = head[g][i * N + K + j];
+        for (int m = 0; m < K; m++) sum += head[g][i * N + m] * lanes(P[m][j])[g];
+        H[i][j] = sum;
+        x.H_f[i * K + j] = head[g][i * N + j];
+      }
+    invert(H, x.head_v);
+  }
+}
+
+// sums[i] (+)= sum_j a_ij x_j in all cells, for a matrix of M x N rows.
+template <bool ADD, int M, int N>
+[[gnu::noinline]] void apply(const double* a, const double* x, double* sums, int64_t stride) {
+  for (int64_t first = 0; first < stride; first += LANES) {
+    Vec of_x[N];
+#pragma GCC unroll 16
+    for (int j = 0; j < N; j++) of_x[j] = load(x + j * stride + first);
+#pragma GCC unroll 1
+    for (int i = 0; i < M; i++) {
+      Vec sum = ADD ? load(sums + i * stride + first) : Vec{};
+#pragma GCC unroll 16
+      for (int j = 0; j < N; j++) sum += load(a + (i * N + j) * stride + first) * of_x[j];
+      store(sums + i * stride + first, sum);
+    }
+  }
+}
+
+// sums[j] = sum_i a_ij x_i in all cells.
+template <int M, int N>
+[[gnu::noinline]] void apply_transposed(const double* a, const double* x, double* sums,
+                                        int64_t stride) {
+  for (int64_t first = 0; first < stride; first += LANES) {
+    Vec of_x[M];
+#pragma GCC unroll 16
+    for (int i = 0; i < M; i++) of_x[i] = load(x + i * stride + first);
+#pragma GCC unroll 1
+    for (int j = 0; j < N; j++) {
+      Vec sum{};
+#pragma GCC unroll 16
+      for (int i = 0; i < M; i++) sum += load(a + (i * N + j) * stride + first) * of_x[i];
+      store(sums + j * stride + first, sum);
+    }
+  }
+}
+
+// Copies rows of `cells` numbers into rows of `stride` numbers, and sets the rest to zero.
+template <int ROWS>
+void copy_rows(const double* from, int64_t from_stride, double* to, int64_t cells, int64_t stride) {
+  for (int i = 0; i < ROWS; i++) {
+    for (int64_t c = 0; c < cells; c++) to[i * stride + c] = from[i * from_stride + c];
+    for (int64_t c = cells; c < stride; c++) to[i * stride + c] = 0.0;
+  }
+}
+
+// Solves for G robots. The two passes along the body wait for each sum, so the robots take turns.
+template <int K, int G>
+void solve(const double* const* factors, const double* const* r, const double* const* tail,
+           const double* const* head, double* const* y, int64_t cells) {
+  constexpr int N = 2 * K;
+  const int64_t stride = padded(cells), nodes = cells + 1, rows = 3 * N * stride;
+  double* work = work_of<2, double>(G * rows + N * stride);
+  double *u[G], *p[G], *v[G], *forces[G], at[G][K], first[G][K];
+  const double *C_f[G], *D_v[G];
+  for (int g = 0; g < G; g++) {
+    const Factors<K, const double> x(factors[g], cells);
+    double* rhs = work + G * rows;
+    u[g] = work + g * rows;
+    forces[g] = u[g] + K * stride;
+    p[g] = u[g] + N * stride;
+    v[g] = p[g] + K * stride;
+    C_f[g] = x.C_f(0);
+    D_v[g] = x.D_v(0);
+    copy_rows<N>(r[g], cells, rhs, cells, stride);
+    apply<false, N, N>(x.B, rhs, u[g], stride);
+    for (int i = 0; i < K; i++) {
+      first[g][i] = 0.0;
+      for (int j = 0; j < K; j++) first[g][i] += x.tail_f[i * K + j] * tail[g][j];
+      at[g][i] = first[g][i];
+    }
+  }
+  for (int64_t c = 0; c < cells; c++)
+#pragma GCC unroll 4
+    for (int g = 0; g < G; g++) {
+      double next[K];
+#pragma GCC unroll 8
+      for (int i = 0; i < K; i++) {
+        p[g][i * stride + c] = at[g][i];
+        next[i] = forces[g][i * stride + c];
+#pragma GCC unroll 8
+        for (int j = 0; j < K; j++) next[i] += C_f[g][(2 * c * K + i) * K + j] * at[g][j];
+      }
+#pragma GCC unroll 8
+      for (int i = 0; i < K; i++) forces[g][i * stride + c] = at[g][i] = next[i];
+    }
+  for (int g = 0; g < G; g++) {
+    const Factors<K, const double> x(factors[g], cells);
+    for (int i = 0; i < K; i++)
+      for (int64_t c = cells; c < stride; c++) p[g][i * stride + c] = v[g][i * stride + c] = 0.0;
+    apply<true, K, K>(x.C_v, p[g], u[g], stride);
+    double rest[K];
+    for (int i = 0; i < K; i++) {
+      rest[i] = head[g][i];
+      for (int j = 0; j < K; j++) rest[i] -= x.H_f[i * K + j] * at[g][j];
+    }
+    for (int i = 0; i < K; i++) {
+      at[g][i] = 0.0;
+      for (int j = 0; j < K; j++) at[g][i] += x.head_v[i * K + j] * rest[j];
+      y[g][(K + i) * nodes + cells] = at[g][i];
+    }
+  }
+  for (int64_t c = cells - 1; c >= 0; c--)
+#pragma GCC unroll 4
+    for (int g = 0; g < G; g++) {
+      double next[K];
+#pragma GCC unroll 8
+      for (int i = 0; i < K; i++) {
+        v[g][i * stride + c] = at[g][i];
+        next[i] = u[g][i * stride + c];
+#pragma GCC unroll 8
+        for (int j = 0; j < K; j++) next[i] += D_v[g][(2 * c * K + i) * K + j] * at[g][j];
+      }
+#pragma GCC unroll 8
+      for (int i = 0; i < K; i++) y[g][(K + i) * nodes + c] = at[g][i] = next[i];
+    }
+  for (int g = 0; g < G; g++) {
+    const Factors<K, const double> x(factors[g], cells);
+    apply<true, K, K>(x.D_f, v[g], forces[g], stride);
+    for (int i = 0; i < K; i++) {
+      y[g][i * nodes] = first[g][i];
+      for (int j = 0; j < K; j++) y[g][i * nodes] += x.P[i * K + j] * at[g][j];
+      for (int64_t c = 0; c < cells; c++) y[g][i * nodes + c + 1] = forces[g][i * stride + c];
+    }
+  }
+}
+
+// A step of Newton's method: subtracts the solution `better` from y, and returns the largest change
+// of an unknown relative to max(scale, |y|), or NaN if a change is not finite.
+template <int K>
+double correct(const double* y, const double* scale, double* better, int64_t cells) {
+  double largest = 0.0, invalid = 0.0;
+  for (int i = 0; i < 2 * K; i++) {
+    const double* before = y + i * (cells + 1);
+    double* change = better + i * (cells + 1);
+    for (int64_t c = 0; c <= cells; c++) {
+      const double magnitude = std::abs(before[c]);
+      const double ratio = std::abs(change[c]) / (magnitude > scale[i] ? magnitude : scale[i]);
+      largest = ratio > largest ? ratio : largest;
+      invalid += 0.0 * change[c];
+      change[c] = before[c] - change[c];
+    }
+  }
+  return largest + invalid;
+}
+
+// The transpose of `solve`: from (2K, nodes) to the cells, the tail and the head.
+template <int K>
+void solve_transposed(const Factors<K, const double>& x, const double* y, double* r, double* tail,
+                      double* head, int64_t cells) {
+  constexpr int N = 2 * K;
+  const int64_t stride = x.stride, nodes = cells + 1;
+  double* u = work_of<2, double>(4 * N * stride);  // derivatives by (v_c, f_{c+1})
+  double *rhs = u + N * stride, *through = rhs + N * stride, *of_p = through + K * stride;
+  copy_rows<K>(y + K * nodes, nodes, u, cells, stride);
+  copy_rows<K>(y + 1, nodes, u + K * stride, cells, stride);
+  // From the tail: derivatives with respect to v_c collect those of all nodes behind.
+  apply_transposed<K, K>(x.D_f, u + K * stride, through, stride);
+  double at[K];
+  for (int j = 0; j < K; j++) {
+    at[j] = y[(K + j) * nodes];
+    for (int i = 0; i < K; i++) at[j] += x.P[i * K + j] * y[i * nodes];
+  }
+  for (int64_t c = 0; c < cells; c++) {
+    const double* D_v = x.D_v(c);
+    double next[K];
+    for (int j = 0; j < K; j++) {
+      u[j * stride + c] = at[j];
+      next[j] = y[(K + j) * nodes + c + 1] + through[j * stride + c];
+      for (int i = 0; i < K; i++) next[j] += D_v[i * K + j] * at[i];
+    }
+    std::memcpy(at, next, sizeof(at));
+  }
+  double p[K];
+  for (int j = 0; j < K; j++) {
+    head[j] = 0.0;
+    for (int i = 0; i < K; i++) head[j] += x.head_v[i * K + j] * at[i];
+  }
+  for (int j = 0; j < K; j++) {
+    p[j] = 0.0;
+    for (int i = 0; i < K; i++) p[j] -= x.H_f[i * K + j] * head[i];
+  }
+  // From the head: derivatives with respect to p_c collect those of all nodes ahead.
+  apply_transposed<K, K>(x.C_v, u, of_p, stride);
+  for (int64_t c = cells - 1; c >= 0; c--) {
+    const double* C_f = x.C_f(c);
+    double next[K];
+    for (int i = 0; i < K; i++) u[(K + i) * stride + c] += p[i];
+    for (int j = 0; j < K; j++) {
+      next[j] = of_p[j * stride + c];
+      for (int i = 0; i < K; i++) next[j] += C_f[i * K + j] * u[(K + i) * stride + c];
+    }
+    std::memcpy(p, next, sizeof(p));
+  }
+  apply_transposed<N, N>(x.B, u, rhs, stride);
+  for (int i = 0; i < N; i++) std::memcpy(r + i * cells, rhs + i * stride, cells * sizeof(double));
+  for (int j = 0; j < K; j++) {
+    tail[j] = 0.0;
+    for (int i = 0; i < K; i++) tail[j] += x.tail_f[i * K + j] * (y[i * nodes] + p[i]);
+  }
+}
+
+using In = ffi::AnyBuffer;
+using Out = ffi::Result<ffi::AnyBuffer>;
+
+// The robots of a batch: leading axes of all buffers, some of them of length 1 in an input.
+struct Batch {
+  std::vector<int64_t> lengths;
+  int64_t robots = 1;
+
+  template <class Dims>
+  Batch(const Dims& dims, size_t own) {
+    for (size_t i = 0; i + own < dims.size(); i++) {
+      lengths.push_back(dims[i]);
+      robots *= dims[i];
+    }
+  }
+
+  // Returns the place of each robot's data in a buffer whose last `own` axes belong to a robot.
+  std::vector<const double*> rows(In x, size_t own) const {
+    const auto dims = x.dimensions();
+    int64_t size = 1;
+    for (size_t i = dims.size() - own; i < dims.size(); i++) size *= dims[i];
+    std::vector<const double*> found(1, x.typed_data<double>());
+    found.reserve(robots);
+    for (size_t i = lengths.size(); i-- > 0;) {
+      const int64_t step = dims[i] == 1 ? 0 : size;
+      size *= dims[i];
+      const size_t before = found.size();
+      for (int64_t k = 1; k < lengths[i]; k++)
+        for (size_t m = 0; m < before; m++) found.push_back(found[m] + k * step);
+    }
+    return found;
+  }
+};
+
+template <int K>
+void factorise_batch(In left, In right, In tail, In head, Out factors) {
+  const int64_t cells = left.dimensions().back();
+  const Batch batch(factors->dimensions(), 1);
+  const auto l = batch.rows(left, 3), r = batch.rows(right, 3);
+  const auto t = batch.rows(tail, 2), h = batch.rows(head, 2);
+  std::vector<double*> to(batch.robots);
+  for (int64_t i = 0; i < batch.robots; i++)
+    to[i] = factors->typed_data<double>() + i * factor_size<K>(cells);
+  int64_t i = 0;
+  for (; i + LANES <= batch.robots; i += LANES)
+    factorise<K, Vec>(&l[i], &r[i], &t[i], &h[i], &to[i], cells);
+  for (; i < batch.robots; i++)
+    factorise<K, double>(&l[i], &r[i], &t[i], &h[i], &to[i], cells);
+}
+
+template <int K>
+void solve_batch(In factors, In cells, In tail, In head, Out y) {
+  constexpr int TOGETHER = 4;
+  const int64_t count = cells.dimensions().back();
+  const Batch batch(y->dimensions(), 2);
+  const auto f = batch.rows(factors, 1), r = batch.rows(cells, 2);
+  const auto t = batch.rows(tail, 1), h = batch.rows(head, 1);
+  std::vector<double*> to(batch.robots);
+  for (int64_t i = 0; i < batch.robots; i++)
+    to[i] = y->typed_data<double>() + i * 2 * K * (count + 1);
+  int64_t i = 0;
+  for (; i + TOGETHER <= batch.robots; i += TOGETHER)
+    solve<K, TOGETHER>(&f[i], &r[i], &t[i], &h[i], &to[i], count);
+  for (; i < batch.robots; i++) solve<K, 1>(&f[i], &r[i], &t[i], &h[i], &to[i], count);
+}
+
+template <int K>
+void correct_batch(In factors, In cells, In tail, In head, In y, In scale, Out better, Out size) {
+  solve_batch<K>(factors, cells, tail, head, better);
+  const int64_t count = cells.dimensions().back();
+  const Batch batch(better->dimensions(), 2);
+  const auto from = batch.rows(y, 2), scales = batch.rows(scale, 2);
+  for (int64_t i = 0; i < batch.robots; i++)
+    size->typed_data<double>()[i] =
+        correct<K>(from[i], scales[i], better->typed_data<double>() + i * 2 * K * (count + 1),
+                   count);
+}
+
+template <int K>
+void solve_transposed_batch(In factors, In y, Out cells, Out tail, Out head) {
+  const int64_t count = cells->dimensions().back();
+  const Batch batch(tail->dimensions(), 1);
+  const auto f = batch.rows(factors, 1), from = batch.rows(y, 2);
+  for (int64_t i = 0; i < batch.robots; i++)
+    solve_transposed<K>({f[i], count}, from[i], cells->typed_data<double>() + i * 2 * K * count,
+                        tail->typed_data<double>() + i * K, head->typed_data<double>() + i * K,
+                        count);
+}
+
+ffi::Error size_error() {
+  return ffi::Error::InvalidArgument("the block solver supports 3 or 6 forces per node");
+}
+
+ffi::Error Factorise(In left, In right, In tail, In head, Out factors) {
+  const int64_t k = tail.dimensions().back() / 2;
+  if (k == 3)
+    factorise_batch<3>(left, right, tail, head, factors);
+  else if (k == 6)
+    factorise_batch<6>(left, right, tail, head, factors);
+  else
+    return size_error();
+  return ffi::Error::Success();
+}
+
+ffi::Error Solve(In factors, In cells, In tail, In head, Out y) {
+  const int64_t k = tail.dimensions().back();
+  if (k == 3)
+    solve_batch<3>(factors, cells, tail, head, y);
+  else if (k == 6)
+    solve_batch<6>(factors, cells, tail, head, y);
+  else
+    return size_error();
+  return ffi::Error::Success();
+}
+
+ffi::Error Correct(In factors, In cells, In tail, In head, In y, In scale, Out better, Out size) {
+  const int64_t k = tail.dimensions().back();
+  if (k == 3)
+    correct_batch<3>(factors, cells, tail, head, y, scale, better, size);
+  else if (k == 6)
+    correct_batch<6>(factors, cells, tail, head, y, scale, better, size);
+  else
+    return size_error();
+  return ffi::Error::Success();
+}
+
+ffi::Error SolveTransposed(In factors, In y, Out cells, Out tail, Out head) {
+  const int64_t k = tail->dimensions().back();
+  if (k == 3)
+    solve_transposed_batch<3>(factors, y, cells, tail, head);
+  else if (k == 6)
+    solve_transposed_batch<6>(factors, y, cells, tail, head);
+  else
+    return size_error();
+  return ffi::Error::Success();
+}
+
+}  // namespace
+
+XLA_FFI_DEFINE_HANDLER_SYMBOL(
+    slider_factorise, Factorise,
+    ffi::Ffi::Bind().Arg<In>().Arg<In>().Arg<In>().Arg<In>().Ret<ffi::AnyBuffer>());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(
+    slider_solve, Solve,
+    ffi::Ffi::Bind().Arg<In>().Arg<In>().Arg<In>().Arg<In>().Ret<ffi::AnyBuffer>());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(slider_correct, Correct,
+                              ffi::Ffi::Bind()
+                                  .Arg<In>()
+                                  .Arg<In>()
+                                  .Arg<In>()
+                                  .Arg<In>()
+                                  .Arg<In>()
+                                  .Arg<In>()
+                                  .Ret<ffi::AnyBuffer>()
+                                  .Ret<ffi::AnyBuffer>());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(slider_solve_transposed, SolveTransposed,
+                              ffi::Ffi::Bind()
+                                  .Arg<In>()
+                                  .Arg<In>()
+                                  .Ret<ffi::AnyBuffer>()
+                                  .Ret<ffi::AnyBuffer>()
+                                  .Ret<ffi::AnyBuffer>());

@@ -1,0 +1,143 @@
+"""The compiled twin of the structured solver: a C++ library that XLA calls.
+
+The library is compiled at its first use, with the C++ compiler of the machine and the header files
+of the installed jaxlib, and kept in the cache folder. If this is not possible, `problem` says why,
+and `block_solver` uses its functions in JAX.
+"""
+
+import ctypes
+import functools
+import hashlib
+import logging
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import jax
+import jaxlib
+from jaxtyping import Array, Float
+
+from slider_jax.io.files import cache_folder, replacing
+
+SOURCE = Path(__file__).with_name("block_kernel.cc")
+FLAGS = ("-O3", "-march=native", "-std=c++17", "-shared", "-fPIC", "-w")
+LANES = 8
+"""The number of cells in the factors is a multiple of this number, as in the source."""
+TARGETS = ("factorise", "solve", "correct", "solve_transposed")
+
+
+def _compiler() -> list[str] | None:
+    """Returns the command of the C++ compiler, or None."""
+    given = os.environ.get("CXX")
+    if given:
+        return shlex.split(given)
+    found = next((x for x in ("c++", "g++", "clang++") if shutil.which(x)), None)
+    return None if found is None else [found]
+
+
+def _processor() -> str:
+    """Returns the processor's features, because the library is compiled for them."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((x for x in lines if x.startswith(("flags", "Features"))), platform.machine())
+
+
+@functools.cache
+def library_digest() -> str:
+    """Returns a digest of what the compiled library depends on."""
+    parts = (SOURCE.read_text(), *FLAGS, jaxlib.__version__, _processor())
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
+
+
+def _build(path: Path, compiler: list[str]) -> None:
+    """Compiles the library to `path`; raises `OSError` or `CalledProcessError`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as new:
+        command = [*compiler, *FLAGS, f"-I{jax.ffi.include_dir()}", str(SOURCE), "-o", str(new)]
+        subprocess.run(command, check=True, capture_output=True, text=True)
+
+
+@functools.cache
+def problem() -> str | None:
+    """Returns why the library cannot be used, or None.
+
+    The first call compiles and loads the library. If this fails, it writes one line to the log.
+    """
+    why = _load()
+    if why is not None:
+        logging.getLogger(__name__).warning(
+            "Simulations take about twice as long, because the compiled solver is missing: %s", why
+        )
+    return why
+
+
+def _load() -> str | None:
+    path = cache_folder() / f"block_kernel-{library_digest()}.so"
+    try:
+        if not path.exists():
+            compiler = _compiler()
+            if compiler is None:
+                return "no C++ compiler was found; install g++ or clang++, or set CXX"
+            _build(path, compiler)
+        library = ctypes.CDLL(str(path))
+    except subprocess.CalledProcessError as error:
+        lines = [x for x in error.stderr.splitlines() if "error" in x] or error.stderr.splitlines()
+        first = lines[0] if lines else f"exit status {error.returncode}"
+        return f"the C++ compiler {error.cmd[0]} failed: {first}"
+    except OSError as error:
+        return str(error)
+    for name in TARGETS:
+        handler = jax.ffi.pycapsule(getattr(library, f"slider_{name}"))
+        jax.ffi.register_ffi_target(_target(name), handler, platform="cpu")
+    return None
+
+
+def _target(name: str) -> str:
+    """Returns the name of a function. It contains the digest, because JAX stores programs."""
+    return f"slider_{name}_{library_digest()}"
+
+
+def _call(name: str, *shapes):
+    return jax.ffi.ffi_call(_target(name), shapes, vmap_method="expand_dims")
+
+
+def factorise(
+    left: Float[Array, "2k 2k cells"],
+    right: Float[Array, "2k 2k cells"],
+    tail: Float[Array, "k 2k"],
+    head: Float[Array, "k 2k"],
+) -> Float[Array, " size"]:
+    """Returns the factors of a `BeamOperator` without `update`."""
+    k, cells = len(tail), left.shape[-1]
+    padded = -(-cells // LANES) * LANES
+    size = 4 * k * k * (2 * padded + 1)
+    return _call("factorise", jax.ShapeDtypeStruct((size,), left.dtype))(left, right, tail, head)[0]
+
+
+def solve(factors: Float[Array, " size"], rhs) -> Float[Array, "2k nodes"]:
+    """Returns the solution for a right side (cells, tail, head)."""
+    rows, cells = rhs[0].shape
+    shape = jax.ShapeDtypeStruct((rows, cells + 1), factors.dtype)
+    return _call("solve", shape)(factors, *rhs)[0]
+
+
+def correct(
+    factors: Float[Array, " size"], rhs, y: Float[Array, "2k nodes"], scale: Float[Array, "2k 1"]
+) -> tuple[Float[Array, "2k nodes"], Float[Array, ""]]:
+    """Returns y minus the solution for `rhs`, and the largest change divided by max(scale, |y|)."""
+    shapes = jax.ShapeDtypeStruct(y.shape, y.dtype), jax.ShapeDtypeStruct((), y.dtype)
+    better, size = _call("correct", *shapes)(factors, *rhs, y, scale)
+    return better, size
+
+
+def solve_transposed(factors: Float[Array, " size"], y: Float[Array, "2k nodes"]):
+    """Returns (cells, tail, head), the solution of the transposed system for `y`."""
+    rows, nodes = y.shape
+    shapes = ((rows, nodes - 1), (rows // 2,), (rows // 2,))
+    structs = (jax.ShapeDtypeStruct(shape, factors.dtype) for shape in shapes)
+    return tuple(_call("solve_transposed", *structs)(factors, y))

@@ -1,0 +1,145 @@
+"""The compiled solver against its twin in JAX, and machines without a compiler."""
+
+import logging
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.dynamics import block_kernel
+from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
+
+TWIN, KERNEL = BeamSolver(compiled=False), BeamSolver(compiled=True)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled():
+    why = block_kernel.problem()
+    if why is not None and "no C++ compiler" in why:
+        pytest.skip(why)
+    assert why is None, why
+
+
+def operators(k, cells, robots, seed=0):
+    """Operators of bodies with a strong diagonal, as the rows of a beam have, and right sides."""
+    rng = np.random.default_rng(seed)
+    left, right = 0.1 * rng.normal(size=(2, robots, 2 * k, 2 * k, cells))
+    ahead = np.concatenate([np.arange(k, 2 * k), np.arange(k)])
+    left[:, np.arange(2 * k), ahead] -= 3.0
+    right[:, np.arange(2 * k), ahead] += 3.0
+    tail, head = 0.1 * rng.normal(size=(2, robots, k, 2 * k))
+    tail[:, np.arange(k), np.arange(k)] += 1.0
+    head[:, np.arange(k), np.arange(k, 2 * k)] += 1.0
+    rhs = [rng.normal(size=(robots, *shape)) for shape in ((2 * k, cells), (k,), (k,))]
+    parts = map(jnp.asarray, (left, right, tail, head))
+    return BeamOperator(*parts), tuple(map(jnp.asarray, rhs))
+
+
+def solutions(solver):
+    """A function that returns the solutions of A y = rhs and of A^T r = (a vector made of rhs)."""
+
+    def solve(operator, rhs):
+        factors = solver.init(operator, {})
+        y, _, _ = solver.compute(factors, rhs, {})
+        back, _, _ = solver.compute(solver.transpose(factors, {})[0], jnp.cos(y), {})
+        return y, back
+
+    return jax.jit(jax.vmap(solve))
+
+
+def close(found, exact, within=1e-12):
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(exact), strict=True):
+        assert np.max(np.abs(a - b)) < within * np.max(np.abs(b))
+
+
+@pytest.mark.parametrize("robots", [1, 11])
+@pytest.mark.parametrize(("k", "cells"), [(3, 1), (3, 16), (3, 37), (6, 9)])
+def test_solution_and_transposed_solution_equal_those_of_the_twin(k, cells, robots):
+    """With 11 robots, 8 are factorised together and 3 one by one."""
+    operator, rhs = operators(k, cells, robots)
+    close(solutions(KERNEL)(operator, rhs), solutions(TWIN)(operator, rhs))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("k", [3, 6])
+def test_derivatives_equal_those_of_the_twin(k):
+    """Forward and reverse, with respect to the operator and to the right side."""
+    operator, rhs = jax.tree.map(lambda x: x[0], operators(k, 10, 1))
+    change = jax.tree.map(lambda x: jnp.sin(1.0 + 3.0 * x), (operator, rhs))
+
+    def value_and_derivatives(solver):
+        def solve(operator, rhs):
+            return solver.compute(solver.init(operator, {}), rhs, {})[0]
+
+        def weighted(operator, rhs):
+            return jnp.sum(jnp.sin(solve(operator, rhs)))
+
+        forward = jax.jvp(solve, (operator, rhs), change)
+        return forward, jax.grad(weighted, argnums=(0, 1))(operator, rhs)
+
+    close(
+        jax.jit(lambda: value_and_derivatives(KERNEL))(),
+        jax.jit(lambda: value_and_derivatives(TWIN))(),
+    )
+
+
+def test_one_factorisation_serves_several_right_sides():
+    """The factors are not batched, or batched along another axis than the right side."""
+    operator, rhs = operators(3, 12, 5)
+    many = jax.tree.map(lambda x: jnp.stack([x, 2.0 * x, x**2], axis=1), rhs)
+
+    def solve(solver):
+        def one(operator, rhs):
+            factors = solver.init(operator, {})
+            return jax.vmap(lambda r: solver.compute(factors, r, {})[0])(rhs)
+
+        return jax.jit(jax.vmap(one))(operator, many)
+
+    close(solve(KERNEL), solve(TWIN))
+
+
+def test_nan_in_one_robot_leaves_the_others_unchanged_to_the_bit():
+    operator, rhs = operators(3, 12, 11)
+    ill = eqx.tree_at(lambda a: a.left, operator, operator.left.at[4, 2, 1, 3].set(jnp.nan))
+    found, well = solutions(KERNEL)(ill, rhs), solutions(KERNEL)(operator, rhs)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(well), strict=True):
+        assert not np.isfinite(a[4]).all()
+        np.testing.assert_array_equal(np.delete(a, 4, 0), np.delete(b, 4, 0))
+
+
+def test_a_step_of_newtons_method_equals_that_of_the_twin():
+    """The largest relative change is NaN if a change is not finite."""
+    operator, rhs = operators(6, 9, 3)
+    scale, y = jnp.linspace(0.1, 2.0, 12)[:, None], jnp.cos(jnp.arange(120.0)).reshape(12, 10)
+    steps = BeamSolver(compiled=True, differentiable=False)
+
+    def step(solver):
+        def one(operator, rhs):
+            return solver.correct(solver.init(operator, {})[0], rhs, y, scale)
+
+        return jax.jit(jax.vmap(one))
+
+    close(step(steps)(operator, rhs), step(TWIN)(operator, rhs))
+    _, sizes = step(steps)(operator, (rhs[0].at[1, 0, 0].set(jnp.inf), *rhs[1:]))
+    assert np.isnan(sizes).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("compiler", "why"),
+    [
+        ("", "no C++ compiler was found"),
+        ("no_such_compiler", "no_such_compiler"),
+        ("false", "compiler false failed: exit status 1"),
+    ],
+)
+def test_without_a_working_compiler_one_line_says_why(compiler, why, monkeypatch, tmp_path, caplog):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("CXX", compiler)
+    if not compiler:
+        monkeypatch.setattr("shutil.which", lambda name: None)
+    with caplog.at_level(logging.WARNING):
+        assert why in block_kernel.problem.__wrapped__()
+    assert len(caplog.records) == 1 and "twice as long" in caplog.text
+    assert not list(tmp_path.rglob("*.so*"))
