@@ -168,7 +168,7 @@ def plot_growth(table: dict, path: Path) -> None:
     left.set_xticklabels([str(x) if x > 50 else "" for x in n])
     members, share = zip(*table["members"].items(), strict=True)
     right.semilogx(members, share, "o-", base=2)
-    right.set(xlabel="robots (-)", ylabel="core-seconds per simulated second and robot (-)")
+    right.set(xlabel="robots (-)", ylabel="core-seconds per\nsimulated second and robot (-)")
     right.set(title="batch")
     right.set(xticks=members, xticklabels=members, ylim=(0, None))
     figure.savefig(path, dpi=120)

@@ -44,7 +44,7 @@ def rod_statics(
     print(f"{state}: smallest eigenvalue {eigenvalue:.4g}{compared}")
     if state == "unstable":
         print(
-            "a real rod leaves this shape: a larger load to the side, or a small initial curvature, "
+            "a real rod leaves this shape: a larger load to the side, or an initial curvature, "
             "leads to the bent shape",
             file=sys.stderr,
         )

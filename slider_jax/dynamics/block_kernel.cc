@@ -184,25 +184,24 @@ X* work_of(size_t size) {
   return reinterpret_cast<X*>((at + sizeof(Vec) - 1) / sizeof(Vec) * sizeof(Vec));
 }
 
-typedef long long Order __attribute__((vector_size(8 * LANES)));
-
-// The lanes of two vectors x, y that exchange the halves of their blocks of 2 * HALF lanes.
+// The first or the second of two vectors after they exchanged the halves of their blocks of
+// 2 * HALF lanes.
 template <int HALF, bool SECOND, size_t... LANE>
-constexpr Order order_of(std::index_sequence<LANE...>) {
-  return Order{(long long)(SECOND ? (LANE & HALF ? LANES + LANE : LANE + HALF)
-                                  : (LANE & HALF ? LANES + LANE - HALF : LANE))...};
+inline Vec exchanged(Vec x, Vec y, std::index_sequence<LANE...>) {
+  return __builtin_shufflevector(x, y,
+                                 (SECOND ? (LANE & HALF ? LANES + LANE : LANE + HALF)
+                                         : (LANE & HALF ? LANES + LANE - HALF : LANE))...);
 }
 
 template <int HALF>
 inline void exchange(Vec (&a)[LANES]) {
   constexpr auto all = std::make_index_sequence<LANES>();
-  constexpr Order first = order_of<HALF, false>(all), second = order_of<HALF, true>(all);
 #pragma GCC unroll 8
   for (int i = 0; i < LANES; i++) {
     if (i & HALF) continue;
     const Vec x = a[i], y = a[i + HALF];
-    a[i] = __builtin_shuffle(x, y, first);
-    a[i + HALF] = __builtin_shuffle(x, y, second);
+    a[i] = exchanged<HALF, false>(x, y, all);
+    a[i + HALF] = exchanged<HALF, true>(x, y, all);
   }
 }
 
