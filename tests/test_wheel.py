@@ -77,7 +77,7 @@ def test_the_wheel_holds_the_packages_and_their_data_and_nothing_else(wheel):
     expected = {
         path.relative_to(ROOT).as_posix()
         for package in PACKAGES
-        for pattern in ("*.py", "*.html")
+        for pattern in ("*.py", "*.html", "*.cc")
         for path in (ROOT / package).rglob(pattern)
     }
     assert expected <= set(names)

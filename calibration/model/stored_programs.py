@@ -123,8 +123,8 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callab
     if "<" in name or " at 0x" in text:  # the texts do not tell two such functions or objects apart
         return None
     shapes = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves]
-    # A loaded program needs the compiled solver, which `problem` loads.
-    solver = block_kernel.problem() or block_kernel.library_digest()
+    # A loaded program needs the compiled solver, which `is_used` loads.
+    solver = block_kernel.library_digest() if block_kernel.is_used() else ""
     key = json.dumps([name, text, shapes, versions(), _settings(), _processor(), solver])
     path = folders[-1] / hashlib.sha256(key.encode()).hexdigest()
     found = _loaded(path, leaves)

@@ -15,9 +15,11 @@
 // given forces behind and given motion ahead always has a solution, and the rows are in the order
 // stretch, turn, moment law, balances, so diagonal entries are of order 1/ds.
 //
-// The factors of a robot are B, C and D (8 K^2 numbers per cell) and, for the ends, tail_f, P_0,
-// head_v and H_f (K^2 numbers each). The robots of a batch are factorised LANES at a time, with one
-// robot per lane of a vector. The arithmetic of a robot does not depend on the other robots.
+// The conditions are G_f f + G_v v = g at the tail and H_f f + H_v v = h at the head. Both are solved
+// with row exchange: tail_f = G_f^-1, P_0 = -tail_f G_v, head_v = (H_f P + H_v)^-1. The factors of a
+// robot are B, C and D (8 K^2 numbers per cell), tail_f, P_0, head_v and H_f (K^2 numbers each). The robots of a batch are factorised LANES at a time, with one
+// robot per lane of a vector. The values of a robot do not depend on those of other robots; only their
+// rounding depends on whether the robot is in a group of LANES.
 
 #include <cmath>
 #include <cstdint>
@@ -113,8 +115,8 @@ inline void invert_3(const X (&a)[3][3], X (&b)[3][3]) {
 }
 
 // Inverts a matrix by Gauss-Jordan elimination with blocks of 3 x 3, without row exchange. X is a
-// number, or a vector that contains a number of each of several robots. Such functions of small
-// matrices stay functions: inlined into a long one, they were compiled to slower code.
+// number, or a vector that contains a number of each of several robots. The function is not inlined,
+// because g++ made slower code of it inside long functions.
 template <int N, class X>
 [[gnu::noinline]] void invert_in_place(X (&a)[N][N]) {
 #pragma GCC unroll 1
@@ -175,7 +177,7 @@ void multiply_add(const X (&a)[M][N], const X (&b)[N][L], X (&c)[M][L]) {
 }
 
 // Memory that grows, and stays for the next call of its thread.
-template <int WHICH, class X>
+template <class X>
 X* work_of(size_t size) {
   static thread_local std::vector<double> work;
   const size_t spare = sizeof(Vec) / sizeof(double);
@@ -188,9 +190,14 @@ X* work_of(size_t size) {
 // 2 * HALF lanes.
 template <int HALF, bool SECOND, size_t... LANE>
 inline Vec exchanged(Vec x, Vec y, std::index_sequence<LANE...>) {
+#if defined(__clang__) || __GNUC__ >= 12
   return __builtin_shufflevector(x, y,
                                  (SECOND ? (LANE & HALF ? LANES + LANE : LANE + HALF)
                                          : (LANE & HALF ? LANES + LANE - HALF : LANE))...);
+#else
+  if (SECOND) return Vec{(LANE & HALF ? y[LANE] : x[(LANE + HALF) % LANES])...};
+  return Vec{(LANE & HALF ? y[LANE - (LANE & HALF)] : x[LANE])...};
+#endif
 }
 
 template <int HALF>
@@ -278,7 +285,7 @@ void factorise(const double* const* left, const double* const* right, const doub
                const double* const* head, double* const* factors, int64_t cells) {
   constexpr int N = 2 * K, G = sizeof(X) / sizeof(double), entries = 8 * K * K;
   const int64_t stride = padded(cells);
-  X* tile = work_of<0, X>(LANES * entries);
+  X* tile = work_of<X>(LANES * entries);
   double last[2 * G][LANES] = {};
   X P[K][K];
   for (int g = 0; g < G; g++) {
@@ -383,13 +390,14 @@ void copy_rows(const double* from, int64_t from_stride, double* to, int64_t cell
   }
 }
 
-// Solves for G robots. The two passes along the body wait for each sum, so the robots take turns.
+// Solves for G robots. In the two passes along the body, each sum needs the one before. The processor
+// therefore computes the sums of G robots at the same time.
 template <int K, int G>
 void solve(const double* const* factors, const double* const* r, const double* const* tail,
            const double* const* head, double* const* y, int64_t cells) {
   constexpr int N = 2 * K;
-  const int64_t stride = padded(cells), nodes = cells + 1, rows = 3 * N * stride;
-  double* work = work_of<2, double>(G * rows + N * stride);
+  const int64_t stride = padded(cells), nodes = cells + 1, rows = 2 * N * stride;
+  double* work = work_of<double>(G * rows + N * stride);
   double *u[G], *p[G], *v[G], *forces[G], at[G][K], first[G][K];
   const double *C_f[G], *D_v[G];
   for (int g = 0; g < G; g++) {
@@ -465,7 +473,7 @@ void solve(const double* const* factors, const double* const* r, const double* c
 }
 
 // A step of Newton's method: subtracts the solution `better` from y, and returns the largest change
-// of an unknown relative to max(scale, |y|), or NaN if a change is not finite.
+// of an unknown relative to max(scale, |y|), or NaN if one is not finite.
 template <int K>
 double correct(const double* y, const double* scale, double* better, int64_t cells) {
   double largest = 0.0, invalid = 0.0;
@@ -476,7 +484,7 @@ double correct(const double* y, const double* scale, double* better, int64_t cel
       const double magnitude = std::abs(before[c]);
       const double ratio = std::abs(change[c]) / (magnitude > scale[i] ? magnitude : scale[i]);
       largest = ratio > largest ? ratio : largest;
-      invalid += 0.0 * change[c];
+      invalid += 0.0 * ratio;
       change[c] = before[c] - change[c];
     }
   }
@@ -489,7 +497,7 @@ void solve_transposed(const Factors<K, const double>& x, const double* y, double
                       double* head, int64_t cells) {
   constexpr int N = 2 * K;
   const int64_t stride = x.stride, nodes = cells + 1;
-  double* u = work_of<2, double>(4 * N * stride);  // derivatives by (v_c, f_{c+1})
+  double* u = work_of<double>(3 * N * stride);  // derivatives by (v_c, f_{c+1})
   double *rhs = u + N * stride, *through = rhs + N * stride, *of_p = through + K * stride;
   copy_rows<K>(y + K * nodes, nodes, u, cells, stride);
   copy_rows<K>(y + 1, nodes, u + K * stride, cells, stride);
@@ -539,8 +547,8 @@ void solve_transposed(const Factors<K, const double>& x, const double* y, double
   }
 }
 
-using In = ffi::AnyBuffer;
-using Out = ffi::Result<ffi::AnyBuffer>;
+using In = ffi::Buffer<ffi::F64>;
+using Out = ffi::ResultBuffer<ffi::F64>;
 
 // The robots of a batch: leading axes of all buffers, some of them of length 1 in an input.
 struct Batch {
@@ -560,7 +568,7 @@ struct Batch {
     const auto dims = x.dimensions();
     int64_t size = 1;
     for (size_t i = dims.size() - own; i < dims.size(); i++) size *= dims[i];
-    std::vector<const double*> found(1, x.typed_data<double>());
+    std::vector<const double*> found(1, x.typed_data());
     found.reserve(robots);
     for (size_t i = lengths.size(); i-- > 0;) {
       const int64_t step = dims[i] == 1 ? 0 : size;
@@ -581,7 +589,7 @@ void factorise_batch(In left, In right, In tail, In head, Out factors) {
   const auto t = batch.rows(tail, 2), h = batch.rows(head, 2);
   std::vector<double*> to(batch.robots);
   for (int64_t i = 0; i < batch.robots; i++)
-    to[i] = factors->typed_data<double>() + i * factor_size<K>(cells);
+    to[i] = factors->typed_data() + i * factor_size<K>(cells);
   int64_t i = 0;
   for (; i + LANES <= batch.robots; i += LANES)
     factorise<K, Vec>(&l[i], &r[i], &t[i], &h[i], &to[i], cells);
@@ -598,7 +606,7 @@ void solve_batch(In factors, In cells, In tail, In head, Out y) {
   const auto t = batch.rows(tail, 1), h = batch.rows(head, 1);
   std::vector<double*> to(batch.robots);
   for (int64_t i = 0; i < batch.robots; i++)
-    to[i] = y->typed_data<double>() + i * 2 * K * (count + 1);
+    to[i] = y->typed_data() + i * 2 * K * (count + 1);
   int64_t i = 0;
   for (; i + TOGETHER <= batch.robots; i += TOGETHER)
     solve<K, TOGETHER>(&f[i], &r[i], &t[i], &h[i], &to[i], count);
@@ -612,8 +620,8 @@ void correct_batch(In factors, In cells, In tail, In head, In y, In scale, Out b
   const Batch batch(better->dimensions(), 2);
   const auto from = batch.rows(y, 2), scales = batch.rows(scale, 2);
   for (int64_t i = 0; i < batch.robots; i++)
-    size->typed_data<double>()[i] =
-        correct<K>(from[i], scales[i], better->typed_data<double>() + i * 2 * K * (count + 1),
+    size->typed_data()[i] =
+        correct<K>(from[i], scales[i], better->typed_data() + i * 2 * K * (count + 1),
                    count);
 }
 
@@ -623,8 +631,8 @@ void solve_transposed_batch(In factors, In y, Out cells, Out tail, Out head) {
   const Batch batch(tail->dimensions(), 1);
   const auto f = batch.rows(factors, 1), from = batch.rows(y, 2);
   for (int64_t i = 0; i < batch.robots; i++)
-    solve_transposed<K>({f[i], count}, from[i], cells->typed_data<double>() + i * 2 * K * count,
-                        tail->typed_data<double>() + i * K, head->typed_data<double>() + i * K,
+    solve_transposed<K>({f[i], count}, from[i], cells->typed_data() + i * 2 * K * count,
+                        tail->typed_data() + i * K, head->typed_data() + i * K,
                         count);
 }
 
@@ -633,7 +641,9 @@ ffi::Error size_error() {
 }
 
 ffi::Error Factorise(In left, In right, In tail, In head, Out factors) {
-  const int64_t k = tail.dimensions().back() / 2;
+  const int64_t k = tail.dimensions().back() / 2, cells = left.dimensions().back();
+  if (factors->dimensions().back() != (k == 3 ? factor_size<3>(cells) : factor_size<6>(cells)))
+    return ffi::Error::InvalidArgument("the size of the factors is wrong");
   if (k == 3)
     factorise_batch<3>(left, right, tail, head, factors);
   else if (k == 6)
@@ -680,10 +690,10 @@ ffi::Error SolveTransposed(In factors, In y, Out cells, Out tail, Out head) {
 
 XLA_FFI_DEFINE_HANDLER_SYMBOL(
     slider_factorise, Factorise,
-    ffi::Ffi::Bind().Arg<In>().Arg<In>().Arg<In>().Arg<In>().Ret<ffi::AnyBuffer>());
+    ffi::Ffi::Bind().Arg<In>().Arg<In>().Arg<In>().Arg<In>().Ret<In>());
 XLA_FFI_DEFINE_HANDLER_SYMBOL(
     slider_solve, Solve,
-    ffi::Ffi::Bind().Arg<In>().Arg<In>().Arg<In>().Arg<In>().Ret<ffi::AnyBuffer>());
+    ffi::Ffi::Bind().Arg<In>().Arg<In>().Arg<In>().Arg<In>().Ret<In>());
 XLA_FFI_DEFINE_HANDLER_SYMBOL(slider_correct, Correct,
                               ffi::Ffi::Bind()
                                   .Arg<In>()
@@ -692,12 +702,12 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(slider_correct, Correct,
                                   .Arg<In>()
                                   .Arg<In>()
                                   .Arg<In>()
-                                  .Ret<ffi::AnyBuffer>()
-                                  .Ret<ffi::AnyBuffer>());
+                                  .Ret<In>()
+                                  .Ret<In>());
 XLA_FFI_DEFINE_HANDLER_SYMBOL(slider_solve_transposed, SolveTransposed,
                               ffi::Ffi::Bind()
                                   .Arg<In>()
                                   .Arg<In>()
-                                  .Ret<ffi::AnyBuffer>()
-                                  .Ret<ffi::AnyBuffer>()
-                                  .Ret<ffi::AnyBuffer>());
+                                  .Ret<In>()
+                                  .Ret<In>()
+                                  .Ret<In>());

@@ -1,8 +1,8 @@
 """The compiled twin of the structured solver: a C++ library that XLA calls.
 
 The library is compiled at its first use, with the C++ compiler of the machine and the header files
-of the installed jaxlib, and kept in the cache folder. If this is not possible, `problem` says why,
-and `block_solver` uses its functions in JAX.
+of the installed jaxlib, and kept in the cache folder. If this is not possible, `why_unavailable`
+says why, and `block_solver` uses its functions in JAX.
 """
 
 import ctypes
@@ -14,6 +14,8 @@ import platform
 import shlex
 import shutil
 import subprocess
+import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import jax
@@ -47,10 +49,9 @@ def _processor() -> str:
     return next((x for x in lines if x.startswith(("flags", "Features"))), platform.machine())
 
 
-@functools.cache
 def library_digest() -> str:
     """Returns a digest of what the compiled library depends on."""
-    parts = (SOURCE.read_text(), *FLAGS, jaxlib.__version__, _processor())
+    parts = (SOURCE.read_text(), *FLAGS, jaxlib.__version__, _processor(), *(_compiler() or ()))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
 
 
@@ -63,38 +64,57 @@ def _build(path: Path, compiler: list[str]) -> None:
 
 
 @functools.cache
-def problem() -> str | None:
+def why_unavailable() -> str | None:
     """Returns why the library cannot be used, or None.
 
     The first call compiles and loads the library. If this fails, it writes one line to the log.
     """
-    why = _load()
-    if why is not None:
+    library = _load()
+    if isinstance(library, str):
         logging.getLogger(__name__).warning(
-            "Simulations take about twice as long, because the compiled solver is missing: %s", why
+            "simulations take 1.5 to 2 times as long, because the compiled solver is missing: %s",
+            library,
         )
-    return why
-
-
-def _load() -> str | None:
-    path = cache_folder() / f"block_kernel-{library_digest()}.so"
-    try:
-        if not path.exists():
-            compiler = _compiler()
-            if compiler is None:
-                return "no C++ compiler was found; install g++ or clang++, or set CXX"
-            _build(path, compiler)
-        library = ctypes.CDLL(str(path))
-    except subprocess.CalledProcessError as error:
-        lines = [x for x in error.stderr.splitlines() if "error" in x] or error.stderr.splitlines()
-        first = lines[0] if lines else f"exit status {error.returncode}"
-        return f"the C++ compiler {error.cmd[0]} failed: {first}"
-    except OSError as error:
-        return str(error)
+        return library
     for name in TARGETS:
         handler = jax.ffi.pycapsule(getattr(library, f"slider_{name}"))
         jax.ffi.register_ffi_target(_target(name), handler, platform="cpu")
     return None
+
+
+def is_used() -> bool:
+    """Returns whether solvers use the library: on a CPU, if it is available."""
+    return jax.default_backend() == "cpu" and why_unavailable() is None
+
+
+def _load() -> ctypes.CDLL | str:
+    """Returns the library, or why it cannot be loaded."""
+    try:
+        compiler = _compiler()
+        try:
+            library = _library(cache_folder(), compiler)
+        except (OSError, RuntimeError):  # not writable, or there is no home
+            with tempfile.TemporaryDirectory() as folder:
+                library = _library(Path(folder), compiler)
+        return library or "no C++ compiler was found; install g++ or clang++, or set CXX"
+    except subprocess.CalledProcessError as error:
+        lines = [x for x in error.stderr.splitlines() if "error" in x] or error.stderr.splitlines()
+        first = lines[0] if lines else f"exit status {error.returncode}"
+        return f"the C++ compiler {error.cmd[0]} failed: {first}"
+    except (OSError, ValueError) as error:
+        return f"{error}; check CXX={os.environ.get('CXX', '')} and XDG_CACHE_HOME"
+
+
+def _library(folder: Path, compiler: list[str] | None) -> ctypes.CDLL | None:
+    """Returns the library of a folder; compiles it if it is missing or damaged."""
+    path = folder / f"block_kernel-{library_digest()}.so"
+    if path.exists():
+        with suppress(OSError):
+            return ctypes.CDLL(str(path))
+    if compiler is None:
+        return None
+    _build(path, compiler)
+    return ctypes.CDLL(str(path))
 
 
 def _target(name: str) -> str:

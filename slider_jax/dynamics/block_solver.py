@@ -292,7 +292,7 @@ def _solve_compiled(factors: _Compiled, rhs):
     def as_parts(x):
         return x[:, 1:], x[:k, 0], x[k:, 0]
 
-    # As one array, the right side depends on a tangent as a whole; JAX requires this.
+    # JAX requires that each array of the right side depends on the tangent; one array does.
     return jax.lax.custom_linear_solve(
         lambda y: with_ends_first(blocks.mv(y)),
         with_ends_first(rhs),
@@ -341,7 +341,8 @@ class BeamSolver(lx.AbstractLinearSolver):
     `init` factorises the operator. `compute` solves with these factors and may be called
     repeatedly. Reverse mode transposes `compute`, so `BeamOperator` needs no transpose.
 
-    `compiled` chooses between `block_kernel` and the functions in JAX; None prefers the former.
+    `compiled` chooses between `block_kernel` and the functions in JAX. None chooses the former in
+    the plane, and the latter in three dimensions, where it takes less time for one robot.
     Without `differentiable`, the state is smaller, and `compute` may have no derivatives.
     """
 
@@ -349,10 +350,15 @@ class BeamSolver(lx.AbstractLinearSolver):
     differentiable: bool = True
 
     def init(self, operator, options):
+        double, plane = operator.left.dtype == jnp.float64, len(operator.tail) == 3
         compiled = self.compiled
         if compiled is None:
-            double = operator.left.dtype == jnp.float64
-            compiled = double and jax.default_backend() == "cpu" and block_kernel.problem() is None
+            compiled = double and plane and block_kernel.is_used()
+        if compiled and not (double and block_kernel.is_used()):
+            raise ValueError(
+                f"BeamSolver(compiled=True): given {operator.left.dtype} on "
+                f"{jax.default_backend()}; allowed float64 on a CPU with a C++ compiler"
+            )
         return _factorise_all(operator, compiled, self.differentiable), False
 
     def compute(self, state, vector, options):

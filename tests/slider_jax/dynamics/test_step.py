@@ -50,4 +50,5 @@ def test_a_failed_member_costs_no_further_time_and_keeps_its_state():
         jax.tree.leaves(out.final.memory), jax.tree.leaves(begin.memory), strict=True
     ):
         np.testing.assert_array_equal(kept, given)
-    assert int(run(at_rest(model, SMALL)).final.factorisations) >= steps
+    count = int(run(at_rest(model, SMALL)).final.factorisations)
+    assert steps <= count < 1.1 * steps
