@@ -49,6 +49,7 @@ def _processor() -> str:
     return next((x for x in lines if x.startswith(("flags", "Features"))), platform.machine())
 
 
+@functools.cache
 def library_digest() -> str:
     """Returns a digest of what the compiled library depends on."""
     parts = (SOURCE.read_text(), *FLAGS, jaxlib.__version__, _processor(), *(_compiler() or ()))
