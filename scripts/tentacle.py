@@ -88,7 +88,8 @@ def main(argv: list[str] | None = None) -> int:
     given = parser.parse_args(argv)
     enable_float64()
     try:
-        runs, known = read_arm_runs(given.markers), read_arm_runs(known_runs())
+        fitted_file = known_runs()
+        runs, known = read_arm_runs(given.markers), read_arm_runs(fitted_file)
         problem = ArmProblem(known, candidates_of(known.sessions))
         target = ArmProblem(runs, problem.candidates)
         with staged(given.out) as stage:
@@ -114,12 +115,12 @@ def main(argv: list[str] | None = None) -> int:
             record = prediction_record_of_arm(target.markers(search.used.theta), runs)
             write_json(stage / "predictions.json", record)
             write_json(stage / "close_loop.json", search_record(problem, search))
-            sources = [input_file(given.markers), input_file(known_runs())]
+            sources = [input_file(given.markers), input_file(fitted_file)]
             write_json(stage / "result.json", {"models": result, "input": sources} | provenance())
     except (InputError, SolverError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    print(f"fitted to {known_runs()}, {len(known.sessions)} runs:")
+    print(f"fitted to {fitted_file}, {len(known.sessions)} runs:")
     print("\n".join(table(search)))
     print(f"compared with {given.markers}, {len(runs.sessions)} runs:")
     for title, found in result.items():

@@ -12,7 +12,6 @@ import hashlib
 import json
 import os
 import pickle
-import platform
 import re
 import shutil
 import threading
@@ -29,7 +28,13 @@ import jax
 import calibration
 import slider_jax
 from slider_jax.dynamics import block_kernel
-from slider_jax.io.files import effect_files, read_with_digest, versions, write_with_digest
+from slider_jax.io.files import (
+    effect_files,
+    processor_features,
+    read_with_digest,
+    versions,
+    write_with_digest,
+)
 
 FOLDER = "slider_jax_programs"
 """Name of the folder in the folder of JAX's cache."""
@@ -125,7 +130,7 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callab
     shapes = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves]
     # A loaded program needs the compiled solver, which `is_used` loads.
     solver = block_kernel.library_digest() if block_kernel.is_used() else ""
-    key = json.dumps([name, text, shapes, versions(), _settings(), _processor(), solver])
+    key = json.dumps([name, text, shapes, versions(), _settings(), processor_features(), solver])
     path = folders[-1] / hashlib.sha256(key.encode()).hexdigest()
     found = _loaded(path, leaves)
     if found is None:
@@ -182,14 +187,3 @@ def _settings() -> list[Any]:
     paths = ("cache", "dir", "dump", "log")
     own = {k: str(x) for k, x in jax.config.values.items() if not any(p in k for p in paths)}
     return [own, os.environ.get("XLA_FLAGS"), [str(x) for x in jax.devices()]]
-
-
-@cache
-def _processor() -> str:
-    """Returns the model and the features of the processor, or the name of the computer."""
-    with suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        names = ("model name", "flags", "Features", "CPU implementer", "CPU part")
-        if found := sorted({x for x in lines if x.startswith(names)}):
-            return " ".join(found)
-    return f"{platform.machine()} {platform.processor()} {platform.node()}"

@@ -17,13 +17,16 @@
 //
 // The conditions are G_f f + G_v v = g at the tail and H_f f + H_v v = h at the head. Both are solved
 // with row exchange: tail_f = G_f^-1, P_0 = -tail_f G_v, head_v = (H_f P + H_v)^-1. The factors of a
-// robot are B, C and D (8 K^2 numbers per cell), tail_f, P_0, head_v and H_f (K^2 numbers each). The robots of a batch are factorised LANES at a time, with one
-// robot per lane of a vector. The values of a robot do not depend on those of other robots; only their
-// rounding depends on whether the robot is in a group of LANES.
+// robot are B, C and D (8 K^2 numbers per cell), tail_f, P_0, head_v and H_f (K^2 numbers each).
+//
+// The robots of a batch are factorised LANES at a time, with one robot per lane of a vector. The
+// values of a robot do not depend on those of other robots; only their rounding depends on whether
+// the robot is in a group of LANES.
 
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -390,84 +393,89 @@ void copy_rows(const double* from, int64_t from_stride, double* to, int64_t cell
   }
 }
 
-// Solves for G robots. In the two passes along the body, each sum needs the one before. The processor
-// therefore computes the sums of G robots at the same time.
+// Adds the product of a K x K matrix, or of its transpose, and a vector.
+template <int K>
+inline void add_product(const double* a, const double* x, double* sums) {
+  for (int i = 0; i < K; i++)
+    for (int j = 0; j < K; j++) sums[i] += a[i * K + j] * x[j];
+}
+template <int K>
+inline void add_transposed_product(const double* a, const double* x, double* sums) {
+  for (int j = 0; j < K; j++)
+    for (int i = 0; i < K; i++) sums[j] += a[i * K + j] * x[i];
+}
+
+// Passes along the bodies of G robots: at = a_c at + sums_c in one cell after another. Keeps `at` of
+// before the cell in `before`, and of after the cell in `sums`. Each value needs the one before, so
+// the processor computes those of G robots at the same time.
+template <int K, int G>
+inline void pass_along(const double* const (&a)[G], double* const (&sums)[G],
+                       double* const (&before)[G], double (&at)[G][K], int64_t stride,
+                       int64_t first, int64_t end, int64_t step) {
+  for (int64_t c = first; c != end; c += step)
+#pragma GCC unroll 4
+    for (int g = 0; g < G; g++) {
+      double next[K];
+#pragma GCC unroll 8
+      for (int i = 0; i < K; i++) {
+        before[g][i * stride + c] = at[g][i];
+        next[i] = sums[g][i * stride + c];
+#pragma GCC unroll 8
+        for (int j = 0; j < K; j++) next[i] += a[g][(2 * c * K + i) * K + j] * at[g][j];
+      }
+#pragma GCC unroll 8
+      for (int i = 0; i < K; i++) sums[g][i * stride + c] = at[g][i] = next[i];
+    }
+}
+
+// Solves for G robots.
 template <int K, int G>
 void solve(const double* const* factors, const double* const* r, const double* const* tail,
            const double* const* head, double* const* y, int64_t cells) {
   constexpr int N = 2 * K;
   const int64_t stride = padded(cells), nodes = cells + 1, rows = 2 * N * stride;
   double* work = work_of<double>(G * rows + N * stride);
-  double *u[G], *p[G], *v[G], *forces[G], at[G][K], first[G][K];
+  double *motion[G], *forces[G], *p[G], *v[G], at[G][K] = {}, first[G][K];
   const double *C_f[G], *D_v[G];
   for (int g = 0; g < G; g++) {
     const Factors<K, const double> x(factors[g], cells);
     double* rhs = work + G * rows;
-    u[g] = work + g * rows;
-    forces[g] = u[g] + K * stride;
-    p[g] = u[g] + N * stride;
+    motion[g] = work + g * rows;
+    forces[g] = motion[g] + K * stride;
+    p[g] = motion[g] + N * stride;
     v[g] = p[g] + K * stride;
     C_f[g] = x.C_f(0);
     D_v[g] = x.D_v(0);
     copy_rows<N>(r[g], cells, rhs, cells, stride);
-    apply<false, N, N>(x.B, rhs, u[g], stride);
-    for (int i = 0; i < K; i++) {
-      first[g][i] = 0.0;
-      for (int j = 0; j < K; j++) first[g][i] += x.tail_f[i * K + j] * tail[g][j];
-      at[g][i] = first[g][i];
-    }
-  }
-  for (int64_t c = 0; c < cells; c++)
-#pragma GCC unroll 4
-    for (int g = 0; g < G; g++) {
-      double next[K];
-#pragma GCC unroll 8
-      for (int i = 0; i < K; i++) {
-        p[g][i * stride + c] = at[g][i];
-        next[i] = forces[g][i * stride + c];
-#pragma GCC unroll 8
-        for (int j = 0; j < K; j++) next[i] += C_f[g][(2 * c * K + i) * K + j] * at[g][j];
-      }
-#pragma GCC unroll 8
-      for (int i = 0; i < K; i++) forces[g][i * stride + c] = at[g][i] = next[i];
-    }
-  for (int g = 0; g < G; g++) {
-    const Factors<K, const double> x(factors[g], cells);
+    apply<false, N, N>(x.B, rhs, motion[g], stride);
+    add_product<K>(x.tail_f, tail[g], at[g]);
+    std::memcpy(first[g], at[g], sizeof(at[g]));
     for (int i = 0; i < K; i++)
       for (int64_t c = cells; c < stride; c++) p[g][i * stride + c] = v[g][i * stride + c] = 0.0;
-    apply<true, K, K>(x.C_v, p[g], u[g], stride);
-    double rest[K];
-    for (int i = 0; i < K; i++) {
-      rest[i] = head[g][i];
-      for (int j = 0; j < K; j++) rest[i] -= x.H_f[i * K + j] * at[g][j];
-    }
-    for (int i = 0; i < K; i++) {
-      at[g][i] = 0.0;
-      for (int j = 0; j < K; j++) at[g][i] += x.head_v[i * K + j] * rest[j];
-      y[g][(K + i) * nodes + cells] = at[g][i];
-    }
   }
-  for (int64_t c = cells - 1; c >= 0; c--)
-#pragma GCC unroll 4
-    for (int g = 0; g < G; g++) {
-      double next[K];
-#pragma GCC unroll 8
-      for (int i = 0; i < K; i++) {
-        v[g][i * stride + c] = at[g][i];
-        next[i] = u[g][i * stride + c];
-#pragma GCC unroll 8
-        for (int j = 0; j < K; j++) next[i] += D_v[g][(2 * c * K + i) * K + j] * at[g][j];
-      }
-#pragma GCC unroll 8
-      for (int i = 0; i < K; i++) y[g][(K + i) * nodes + c] = at[g][i] = next[i];
+  pass_along<K, G>(C_f, forces, p, at, stride, 0, cells, 1);
+  for (int g = 0; g < G; g++) {
+    const Factors<K, const double> x(factors[g], cells);
+    apply<true, K, K>(x.C_v, p[g], motion[g], stride);
+    double taken[K] = {}, rest[K];
+    add_product<K>(x.H_f, at[g], taken);
+    for (int i = 0; i < K; i++) {
+      rest[i] = head[g][i] - taken[i];
+      at[g][i] = 0.0;
     }
+    add_product<K>(x.head_v, rest, at[g]);
+    for (int i = 0; i < K; i++) y[g][(K + i) * nodes + cells] = at[g][i];
+  }
+  pass_along<K, G>(D_v, motion, v, at, stride, cells - 1, -1, -1);
   for (int g = 0; g < G; g++) {
     const Factors<K, const double> x(factors[g], cells);
     apply<true, K, K>(x.D_f, v[g], forces[g], stride);
+    add_product<K>(x.P, at[g], first[g]);
     for (int i = 0; i < K; i++) {
-      y[g][i * nodes] = first[g][i];
-      for (int j = 0; j < K; j++) y[g][i * nodes] += x.P[i * K + j] * at[g][j];
-      for (int64_t c = 0; c < cells; c++) y[g][i * nodes + c + 1] = forces[g][i * stride + c];
+      double *f = y[g] + i * nodes, *motions = y[g] + (K + i) * nodes;
+      f[0] = first[g][i];
+      std::memcpy(f + 1, forces[g] + i * stride, cells * sizeof(double));
+      std::memcpy(motions, motion[g] + i * stride, cells * sizeof(double));
     }
   }
 }
@@ -503,48 +511,46 @@ void solve_transposed(const Factors<K, const double>& x, const double* y, double
   copy_rows<K>(y + 1, nodes, u + K * stride, cells, stride);
   // From the tail: derivatives with respect to v_c collect those of all nodes behind.
   apply_transposed<K, K>(x.D_f, u + K * stride, through, stride);
-  double at[K];
-  for (int j = 0; j < K; j++) {
-    at[j] = y[(K + j) * nodes];
-    for (int i = 0; i < K; i++) at[j] += x.P[i * K + j] * y[i * nodes];
+  double at[K], f[K];
+  for (int i = 0; i < K; i++) {
+    at[i] = y[(K + i) * nodes];
+    f[i] = y[i * nodes];
   }
+  add_transposed_product<K>(x.P, f, at);
   for (int64_t c = 0; c < cells; c++) {
     const double* D_v = x.D_v(c);
     double next[K];
     for (int j = 0; j < K; j++) {
       u[j * stride + c] = at[j];
       next[j] = y[(K + j) * nodes + c + 1] + through[j * stride + c];
-      for (int i = 0; i < K; i++) next[j] += D_v[i * K + j] * at[i];
     }
+    add_transposed_product<K>(D_v, at, next);
     std::memcpy(at, next, sizeof(at));
   }
-  double p[K];
-  for (int j = 0; j < K; j++) {
-    head[j] = 0.0;
-    for (int i = 0; i < K; i++) head[j] += x.head_v[i * K + j] * at[i];
-  }
-  for (int j = 0; j < K; j++) {
-    p[j] = 0.0;
-    for (int i = 0; i < K; i++) p[j] -= x.H_f[i * K + j] * head[i];
-  }
+  double p[K] = {};
+  for (int j = 0; j < K; j++) head[j] = 0.0;
+  add_transposed_product<K>(x.head_v, at, head);
+  add_transposed_product<K>(x.H_f, head, p);
+  for (int j = 0; j < K; j++) p[j] = -p[j];
   // From the head: derivatives with respect to p_c collect those of all nodes ahead.
   apply_transposed<K, K>(x.C_v, u, of_p, stride);
   for (int64_t c = cells - 1; c >= 0; c--) {
     const double* C_f = x.C_f(c);
-    double next[K];
-    for (int i = 0; i < K; i++) u[(K + i) * stride + c] += p[i];
-    for (int j = 0; j < K; j++) {
-      next[j] = of_p[j * stride + c];
-      for (int i = 0; i < K; i++) next[j] += C_f[i * K + j] * u[(K + i) * stride + c];
+    double force[K], next[K];
+    for (int i = 0; i < K; i++) {
+      force[i] = u[(K + i) * stride + c] += p[i];
+      next[i] = of_p[i * stride + c];
     }
+    add_transposed_product<K>(C_f, force, next);
     std::memcpy(p, next, sizeof(p));
   }
   apply_transposed<N, N>(x.B, u, rhs, stride);
   for (int i = 0; i < N; i++) std::memcpy(r + i * cells, rhs + i * stride, cells * sizeof(double));
-  for (int j = 0; j < K; j++) {
-    tail[j] = 0.0;
-    for (int i = 0; i < K; i++) tail[j] += x.tail_f[i * K + j] * (y[i * nodes] + p[i]);
+  for (int i = 0; i < K; i++) {
+    f[i] += p[i];
+    tail[i] = 0.0;
   }
+  add_transposed_product<K>(x.tail_f, f, tail);
 }
 
 using In = ffi::Buffer<ffi::F64>;
@@ -636,54 +642,40 @@ void solve_transposed_batch(In factors, In y, Out cells, Out tail, Out head) {
                         count);
 }
 
-ffi::Error size_error() {
-  return ffi::Error::InvalidArgument("the block solver supports 3 or 6 forces per node");
+// Calls run(K), with K as a constant of the compiler.
+template <class Run>
+ffi::Error with_forces(int64_t k, Run run) {
+  if (k == 3)
+    run(std::integral_constant<int, 3>());
+  else if (k == 6)
+    run(std::integral_constant<int, 6>());
+  else
+    return ffi::Error::InvalidArgument("the block solver supports 3 or 6 forces per node");
+  return ffi::Error::Success();
 }
 
 ffi::Error Factorise(In left, In right, In tail, In head, Out factors) {
   const int64_t k = tail.dimensions().back() / 2, cells = left.dimensions().back();
   if (factors->dimensions().back() != (k == 3 ? factor_size<3>(cells) : factor_size<6>(cells)))
     return ffi::Error::InvalidArgument("the size of the factors is wrong");
-  if (k == 3)
-    factorise_batch<3>(left, right, tail, head, factors);
-  else if (k == 6)
-    factorise_batch<6>(left, right, tail, head, factors);
-  else
-    return size_error();
-  return ffi::Error::Success();
+  return with_forces(k, [&](auto K) { factorise_batch<K()>(left, right, tail, head, factors); });
 }
 
 ffi::Error Solve(In factors, In cells, In tail, In head, Out y) {
-  const int64_t k = tail.dimensions().back();
-  if (k == 3)
-    solve_batch<3>(factors, cells, tail, head, y);
-  else if (k == 6)
-    solve_batch<6>(factors, cells, tail, head, y);
-  else
-    return size_error();
-  return ffi::Error::Success();
+  return with_forces(tail.dimensions().back(),
+                     [&](auto K) { solve_batch<K()>(factors, cells, tail, head, y); });
 }
 
 ffi::Error Correct(In factors, In cells, In tail, In head, In y, In scale, Out better, Out size) {
-  const int64_t k = tail.dimensions().back();
-  if (k == 3)
-    correct_batch<3>(factors, cells, tail, head, y, scale, better, size);
-  else if (k == 6)
-    correct_batch<6>(factors, cells, tail, head, y, scale, better, size);
-  else
-    return size_error();
-  return ffi::Error::Success();
+  return with_forces(tail.dimensions().back(), [&](auto K) {
+    correct_batch<K()>(factors, cells, tail, head, y, scale, better, size);
+  });
 }
 
 ffi::Error SolveTransposed(In factors, In y, Out cells, Out tail, Out head) {
-  const int64_t k = tail->dimensions().back();
-  if (k == 3)
-    solve_transposed_batch<3>(factors, y, cells, tail, head);
-  else if (k == 6)
-    solve_transposed_batch<6>(factors, y, cells, tail, head);
-  else
-    return size_error();
-  return ffi::Error::Success();
+  return with_forces(tail->dimensions().back(), [&](auto K) {
+    solve_transposed_batch<K()>(factors, y, cells, tail, head);
+  });
 }
 
 }  // namespace

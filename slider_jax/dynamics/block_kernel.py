@@ -10,7 +10,6 @@ import functools
 import hashlib
 import logging
 import os
-import platform
 import shlex
 import shutil
 import subprocess
@@ -22,7 +21,7 @@ import jax
 import jaxlib
 from jaxtyping import Array, Float
 
-from slider_jax.io.files import cache_folder, replacing
+from slider_jax.io.files import cache_folder, processor_features, replacing
 
 SOURCE = Path(__file__).with_name("block_kernel.cc")
 FLAGS = ("-O3", "-march=native", "-std=c++17", "-shared", "-fPIC", "-w")
@@ -40,19 +39,16 @@ def _compiler() -> list[str] | None:
     return None if found is None else [found]
 
 
-def _processor() -> str:
-    """Returns the processor's features, because the library is compiled for them."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((x for x in lines if x.startswith(("flags", "Features"))), platform.machine())
-
-
 @functools.cache
 def library_digest() -> str:
     """Returns a digest of what the compiled library depends on."""
-    parts = (SOURCE.read_text(), *FLAGS, jaxlib.__version__, _processor(), *(_compiler() or ()))
+    parts = (
+        SOURCE.read_text(),
+        *FLAGS,
+        jaxlib.__version__,
+        processor_features(),
+        *(_compiler() or ()),
+    )
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
 
 

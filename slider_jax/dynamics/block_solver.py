@@ -21,6 +21,8 @@ along the body from the tail to the head instead of joining pairs.
 Source: Redheffer, R. (1959), Inequalities for a matrix Riccati equation, J. Math. Mech. 8, 349-367.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -273,7 +275,7 @@ class _Compiled(eqx.Module):
 
 
 def _factorise_compiled(operator: BeamOperator, differentiable: bool) -> _Compiled:
-    blocks = eqx.tree_at(lambda a: a.update, operator, None, is_leaf=lambda x: x is None)
+    blocks = replace(operator, update=None)
     parts = jax.lax.stop_gradient((blocks.left, blocks.right, blocks.tail, blocks.head))
     return _Compiled(block_kernel.factorise(*parts), blocks if differentiable else None)
 

@@ -128,6 +128,23 @@ class BeamNewton(optx.AbstractRootFinder):
         found = usable & (error < limit)
         return jnp.where(found, y, guess), jnp.where(found, error, infinite)
 
+    def solve_stage(self, fn, jacobian, guess, args, factors, scale, ok, most) -> optx.Solution:
+        """Returns the root of `fn`, found with the `factors` of another stage if they suffice.
+
+        Otherwise, up to `most` iterations follow. A robot that is not `ok` keeps its guess.
+        """
+        guess, error = self.guess_with_factors(fn, guess, args, factors, scale, ok)
+        return optx.root_find(
+            fn,
+            self,
+            guess,
+            args=args,
+            options={"jacobian": jacobian, "scale": scale, "skip": ~ok, "error": error},
+            max_steps=most,
+            adjoint=BeamAdjoint(),
+            throw=False,
+        )
+
     def _simplified_step(self, residual, factors, scale, values):
         """Returns y after one more step with the factors, and the sizes of the last two steps."""
         y, _, before = values

@@ -22,7 +22,7 @@ from slider_jax.beam.state import (
     to_plane,
 )
 from slider_jax.dynamics.model import Mesh, Model, make_mesh
-from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
+from slider_jax.dynamics.newton import BeamNewton
 from slider_jax.dynamics.pressures import Chambers, start_chambers
 from slider_jax.dynamics.residual import (
     Stage,
@@ -190,16 +190,8 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         """Returns the new carry and the stage; `factors` belong to the first stage of the step."""
         t, *_, chambers, _ = stage_inputs
         guess, stage, head_of = stage_of(base, support, h, carry, stage_inputs)
-        guess, error = solver.guess_with_factors(residual, guess, stage, factors, scale, carry.ok)
-        solution: optx.Solution = optx.root_find(
-            residual,
-            solver,
-            guess,
-            args=stage,
-            options={"jacobian": jacobian, "scale": scale, "skip": ~carry.ok, "error": error},
-            max_steps=numerics.max_newton,
-            adjoint=BeamAdjoint(),
-            throw=False,
+        solution = solver.solve_stage(
+            residual, jacobian, guess, stage, factors, scale, carry.ok, numerics.max_newton
         )
         converged = solution.result == optx.RESULTS.successful
         ok = carry.ok & converged

@@ -11,6 +11,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,17 @@ def cache_folder() -> Path:
     """Returns the user's cache folder for files that can be made again."""
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(home) / "slider_jax"
+
+
+@cache
+def processor_features() -> str:
+    """Returns the model and the features of the processor, or the name of the computer."""
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        names = ("model name", "flags", "Features", "CPU implementer", "CPU part")
+        if found := sorted({x for x in lines if x.startswith(names)}):
+            return " ".join(found)
+    return f"{platform.machine()} {platform.processor()} {platform.node()}"
 
 
 def output_folder(path: Path | str) -> Path:

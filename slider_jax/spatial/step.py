@@ -25,7 +25,7 @@ from slider_jax.beam.spatial import (
     unit,
 )
 from slider_jax.dynamics.model import Model, SpaceSettings
-from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
+from slider_jax.dynamics.newton import BeamNewton
 from slider_jax.dynamics.pressures import Chambers, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, run_steps
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme, extrapolation
@@ -293,20 +293,9 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
         t, *_, chambers = stage_inputs
         guess, stage, last, anchor = stage_of(base, start, support, h, carry, stage_inputs)
         dt = stage.reference.dt
-        guess, error = solver.guess_with_factors(
-            spatial_residual, guess, stage, factors, scale, carry.ok
-        )
-        solution: optx.Solution = optx.root_find(
-            spatial_residual,
-            solver,
-            guess,
-            args=stage,
-            options={
-                "jacobian": spatial_jacobian, "scale": scale, "skip": ~carry.ok, "error": error
-            },
-            max_steps=numerics.max_newton,
-            adjoint=BeamAdjoint(),
-            throw=False,
+        solution = solver.solve_stage(
+            spatial_residual, spatial_jacobian, guess, stage, factors, scale, carry.ok,
+            numerics.max_newton,
         )  # fmt: skip
         converged = solution.result == optx.RESULTS.successful
         ok = carry.ok & converged

@@ -106,7 +106,9 @@ def test_a_program_from_the_cache_of_jax_is_not_stored(folder):
     assert not files(folder)
 
 
-@pytest.mark.parametrize("changed", ["source_digest", "versions", "_settings", "_processor"])
+@pytest.mark.parametrize(
+    "changed", ["source_digest", "versions", "_settings", "processor_features"]
+)
 def test_programs_of_other_sources_versions_and_settings_are_not_loaded(
     folder, changed, monkeypatch
 ):
