@@ -75,7 +75,7 @@ def run_optimiser(
     several processes compute, only the process with `keep` writes checkpoints. Raises `InputError`
     if the checkpoint is damaged, has other `settings`, or exists although `resume` is false.
     """
-    state, none = optimiser.begin(seed), np.full(0, np.nan)
+    state, none = _plain(optimiser.begin(seed)), np.full(0, np.nan)
     path = None if folder is None else folder / CHECKPOINT
     best, score, history, population, scores = OptimisationResult(none, -np.inf, [], none, none)
     if path is not None and path.exists():
@@ -83,10 +83,10 @@ def run_optimiser(
         state, (best, score, history, population, scores) = _load(path, state, settings)
     for number in range(len(history), generations):
         started = time.monotonic()
-        population, state = optimiser.ask(state, seed, number)
+        population, state = optimiser.ask(_plain(state), seed, number)
         with_gradients = optimiser.wants_gradients(number)
         scores, slopes = evaluate(population, with_gradients)
-        state = optimiser.tell(state, seed, number, population, scores, slopes)
+        state = optimiser.tell(_plain(state), seed, number, population, scores, slopes)
         spent = history[-1].evaluations if history else 0
         spent += len(population) * (optimiser.cost if with_gradients else 1)
         good = np.isfinite(scores)
@@ -102,6 +102,14 @@ def run_optimiser(
             _save(path, state, result, settings)
         on_generation(done, time.monotonic() - started)
     return OptimisationResult(best, score, history, population, scores)
+
+
+def _plain(state: Any) -> Any:
+    """Returns the state as NumPy arrays, as a checkpoint contains it.
+
+    JAX compiles another program for weakly typed arrays, and its last digit may differ.
+    """
+    return jax.tree.map(np.asarray, state)
 
 
 def refuse_without(resume: bool, path: Path) -> None:
