@@ -160,7 +160,7 @@ def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity
 
     def speed(x):
         gait = box.gait(x)
-        return steady_speed(model(gait), gait.frequency, task.search._replace(settling=10))
+        return steady_speed(model(gait), gait.frequency, task.search._replace(of_derivatives=10))
 
     gradient = jax.jit(jax.jacfwd(speed))
     # Near a face of the unit box, both points of a difference move inside the box.

@@ -14,7 +14,8 @@ changes by dtheta, the implicit function theorem gives the change of the steady 
     dU* = (U_theta - a_theta U_delta / a_delta) dtheta
 
 Indices denote derivatives with respect to theta and to an added speed delta. A simulation of
-`settling` strides from the steady state gives the derivatives: its last two strides give U and a.
+`of_derivatives` strides from the steady state gives the derivatives: its last two strides give U
+and a.
 """
 
 from typing import NamedTuple
@@ -35,12 +36,14 @@ from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 class SteadySettings(NamedTuple):
     """Settings of the root finding for the steady speed."""
 
-    settling: int = 6
-    """Number of strides from rest before the first correction, and again for the derivatives."""
+    settling: int = 4
+    """Number of strides from rest before the first correction."""
+    of_derivatives: int = 6
+    """Number of strides from the steady state that give the derivatives."""
     between: int = 2
     """One less than the number of strides that follow each correction of the speed."""
-    corrections: int = 7
-    """Number of secant steps."""
+    corrections: int = 6
+    """Number of secant steps that strides follow. One more step follows at the end."""
     second: float = 0.15
     """Second speed [m/s] of the secant method. The first is the speed after `settling` strides."""
     largest: float = 0.3
@@ -69,22 +72,22 @@ class Steady(eqx.Module):
     """Result of the root finding."""
 
     pace: MeanMotion
-    """Mean motion of the last two strides."""
-    missing: Float[Array, ""]
-    """Change of the speed [m/s] in the next secant step; small if the speed is steady."""
+    """Mean motion of the last two strides, before the last secant step."""
+    change: Float[Array, ""]
+    """Change of the speed [m/s] in the last secant step; small if the speed is steady."""
     carry: Carry
-    """The state after the last stride."""
+    """The state after the last stride and the last secant step."""
     ok: Bool[Array, ""]
     """Whether every time step and the root finding converged.
 
-    The root finding converged if the speed changes by less than 0.2 % per stride, and the next
+    The root finding converged if the speed changes by less than 0.2 % per stride, and the last
     secant step is less than 2 % of the speed.
     """
 
     @property
     def speed(self) -> Float[Array, ""]:
         """Steady speed [m/s]."""
-        return self.pace.speed
+        return self.pace.speed + self.change
 
 
 def with_added_velocity(carry: Carry, change: Float[Array, "2"]) -> Carry:
@@ -164,7 +167,8 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
     (carry, pace, _, change), _ = jax.lax.scan(correct, begin, None, length=search.corrections)
     size = jnp.abs(pace.speed) + 1e-6
     steady = jnp.abs(pace.acceleration) / frequency < 2e-3 * size
-    return Steady(pace, change, carry, carry.ok & steady & (jnp.abs(change) < 0.02 * size))
+    ok = carry.ok & steady & (jnp.abs(change) < 0.02 * size)
+    return Steady(pace, change, with_added_velocity(carry, change * pace.course), ok)
 
 
 def steady_speed(
@@ -176,11 +180,11 @@ def steady_speed(
     """
     held, f = jax.tree.map(jax.lax.stop_gradient, (model, frequency))
     found = jax.tree.map(jax.lax.stop_gradient, find_steady(held, f, search))
-    course, change = found.pace.course, found.missing
+    course = found.pace.course
 
     def goes_on(model, frequency, delta):
-        begin = with_added_velocity(found.carry, (change + delta) * course)
-        _, pace = simulate_strides(model, frequency, begin, search.settling, search)
+        begin = with_added_velocity(found.carry, delta * course)
+        _, pace = simulate_strides(model, frequency, begin, search.of_derivatives, search)
         return pace.speed, pace.acceleration
 
     zero = jnp.zeros(())

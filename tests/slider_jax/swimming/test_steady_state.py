@@ -49,7 +49,7 @@ def test_the_root_is_where_a_long_swim_from_rest_ends(name):
     model, f = made(GAITS[name]), jnp.asarray(GAITS[name].frequency)
     found, long = search(model, f), swim(model, f)
     print(f"root {float(found.speed):.6f} m/s, swum {float(long.speed):.6f}")
-    assert bool(found.ok) and abs(float(found.missing)) < 1e-4 * float(found.speed)
+    assert bool(found.ok) and abs(float(found.change)) < 5e-3 * float(found.speed)
     assert abs(float(long.acceleration)) < 1e-3
     np.testing.assert_allclose(found.speed, long.speed, rtol=1e-3)
 
@@ -115,7 +115,7 @@ def test_a_body_made_faster_moves_faster_everywhere_and_in_no_other_way():
 @pytest.mark.slow
 def test_its_derivative_is_that_of_the_root():
     """To the six variables of the design; the phase is off the steps, where the drive bends."""
-    plan = SEARCH._replace(settling=10)
+    plan = SEARCH._replace(settling=10, of_derivatives=10)
 
     def speed(x):
         return steady_speed(made(Gait(*x)), x[0], plan)
