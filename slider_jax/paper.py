@@ -30,10 +30,18 @@ SWEEP = tuple(round(0.4 + 0.2 * i, 1) for i in range(34))
 
 MINIMUM_NEAR = 1.0
 """Frequency [Hz] near which the mean thrust has its minimum, which is negative."""
-THRUST_AT, THRUST_THERE = 4.8, 0.060
-"""Frequency [Hz], and mean thrust [N] near this frequency; the paper says "about 60 mN"."""
-RECOIL_AT, RECOIL_THERE = 1.0, 1.0
-"""The recoil exceeds `RECOIL_THERE` [N] at the frequency `RECOIL_AT` [Hz]."""
+PEAK_AT, PEAK_THRUST = 4.8, 0.060
+"""Frequency [Hz] and size [N] of the largest mean thrust; the paper says "near 60 mN"."""
+ROLL_OFF = 0.020
+"""Decrease of the mean thrust per frequency [N/Hz] beyond the largest mean thrust."""
+RECOIL_THERE = 1.0
+"""Recoil [N] that the measured recoil exceeds for the fractions `RECOIL_SHARES` of a stride."""
+RECOIL_SHARES = {1.0: 0.6, 4.8: 0.4}
+"""Fraction of a stride with a recoil above `RECOIL_THERE`, by frequency [Hz]."""
+
+NEAR, ABOUT, NEAR_HZ, NEAR_SHARE = 0.10, 0.25, 0.2, 0.1
+"""Tolerances for agreement with the paper: relative, for results; relative, for results that the
+paper calls approximate; of a frequency [Hz], one step of the sweep; of a fraction of a stride."""
 
 
 def force_coefficients(frequency: Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:

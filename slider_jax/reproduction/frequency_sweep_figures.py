@@ -26,8 +26,8 @@ def thrust_against_frequency(
     bars = 1e3 * table["thrust_std_of_strides_N"]
     simulated = "simulated, mean and standard deviation of strides"
     ax.errorbar(f, mean, bars, fmt="o-", ms=4, lw=1.2, capsize=3, label=simulated)
-    at, thrust = paper.THRUST_AT, 1e3 * paper.THRUST_THERE
-    ax.plot(at, thrust, "C3*", ms=14, label=f"paper: about {thrust:.0f} mN near {at:g} Hz")
+    at, thrust = paper.PEAK_AT, 1e3 * paper.PEAK_THRUST
+    ax.plot(at, thrust, "C3*", ms=14, label=f"paper: peak near {thrust:.0f} mN at {at:g} Hz")
     minimum = f"paper: minimum, negative, near {paper.MINIMUM_NEAR:g} Hz"
     ax.axvline(paper.MINIMUM_NEAR, color="C3", ls=":", lw=1.5, label=minimum)
     ax.set(xlabel="stride frequency (Hz)", ylabel="mean thrust (mN)")

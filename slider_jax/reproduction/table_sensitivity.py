@@ -186,7 +186,7 @@ def head_fixed_thrust(
     change: str, amplitude: float, optimum: Model, search: SteadySettings
 ) -> float:
     """Returns the mean thrust [N] of the paper's head-fixed test at 4.8 Hz with one change."""
-    f = paper.THRUST_AT
+    f = paper.PEAK_AT
     fixed = paper.head_fixed(f, uniform_robot(), paper.Assumed(amplitude=amplitude))
     model = CHANGES[change](replace(optimum, robot=fixed.robot, drive=fixed.drive))
     return clamped_performance(model, f, 0.0, search)["mean_thrust_N"]

@@ -83,18 +83,26 @@ def test_results_are_written_and_read_back(sweep, tmp_path):
 
 
 def test_the_table_has_a_verdict_for_each_value(sweep):
-    def verdicts(thrust_mN, recoil_mN):
-        table = sweep.table | {
-            "thrust_mean_N": 1e-3 * np.asarray(thrust_mN),
-            "recoil_peak_N": 1e-3 * np.asarray(recoil_mN),
-        }
-        lines = comparison(sweep._replace(table=table), TINY).splitlines()
-        return [line.split()[-1] for line in lines[1:4]]
+    def verdicts(thrust_mN, share):
+        """`share` is the fraction of each steady stride in which the recoil is 1.1 N."""
+        f = np.array([1.0, 2.4, 4.8, 6.8])
+        table = {name: np.zeros(4) for name in sweep.table} | {"frequency_Hz": f}
+        table |= {"thrust_mean_N": 1e-3 * np.asarray(thrust_mN)}
+        steps, shown = TINY.steps_per_stride, {}
+        for frequency, series in sweep.shown.items():
+            recoil = np.tile(np.where(np.arange(steps) < share * steps, -1.1, 0.9), TINY.strides)
+            shown[frequency] = series._replace(channels=series.channels | {"recoil": recoil})
+        changed = sweep._replace(table=table, shown=shown, ok=np.ones(4, bool))
+        lines = comparison(changed, TINY).splitlines()
+        return [line.split()[-1] for line in lines[1:6]]
 
     spread = 1e3 * sweep.table["thrust_std_of_strides_N"][2]
     assert f" mN (s.d. of strides {spread:.1f})" in comparison(sweep, TINY)
-    assert verdicts([-20.0, 5.0, 61.0], [1200.0, 0.0, 0.0]) == ["agrees", "agrees", "agrees"]
-    assert verdicts([-1.0, -20.0, 40.0], [800.0, 0.0, 0.0]) == ["differs", "differs", "differs"]
+    assert verdicts([-20.0, 5.0, 61.0, 21.0], 0.5) == 5 * ["agrees"]
+    assert verdicts([-1.0, -20.0, 40.0, 35.0], 0.0) == 5 * ["differs"]
+    assert verdicts([-20.0, 5.0, 50.0, 61.0], 0.5)[2] == "available"  # no roll-off in the sweep
+    # The right thrust at the wrong frequency differs too.
+    assert verdicts([-20.0, 61.0, 55.0, 21.0], 0.6)[1:] == ["differs"] * 2 + ["agrees", "differs"]
 
 
 def test_a_failed_frequency_is_nan_and_listed(sweep):
