@@ -26,6 +26,7 @@ LAYERS = [
     {"slider_jax.swimming"},
     {"slider_jax.climbing", "slider_jax.sweep"},
     {"slider_jax.optimise", "slider_jax.reproduction"},
+    {"slider_jax.statements"},
     {"calibration.model"},
     {"calibration.measurements"},
     {"calibration.audit", "calibration.inference"},

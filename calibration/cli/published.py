@@ -1,22 +1,57 @@
-"""`slider published`: compares the paper's measured free-swimming speeds with simulated speeds."""
+"""`slider published`: compares the paper's statements with simulations."""
 
 import sys
 import time
+from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from slider_jax.cli.options import Folder
 from slider_jax.cli.progress import timed_printer
 
 
-def published(out: Folder) -> None:
+def published(
+    out: Folder, every_statement: Annotated[bool, tyro.conf.arg(name="all")] = False
+) -> None:
     """Compares the paper's two measured free-swimming speeds with simulated speeds.
 
     The command adds one effect at a time that resists axial motion. Each effect is calibrated on
     one measured speed and predicts the other measured speed. The command takes some minutes. The
     results are DIR/report.html and DIR/report.json.
 
+    With --all, the command instead compares every statement of the paper with the built-in robot,
+    and with a set of assumptions that was fitted to all statements. The results are
+    DIR/published.html, DIR/published.json and figures. An interrupted run resumes when you repeat
+    the command.
+
     Args:
         out: folder for the results; created if missing. Files of the same name are replaced.
+        every_statement: compare all statements of the paper (about ten minutes on two cores).
     """
+    if every_statement:
+        _all_statements(out)
+    else:
+        _speeds(out)
+
+
+def _all_statements(out: Path) -> None:
+    from slider_jax.batch.chunks import available_cores
+    from slider_jax.optimise.population import start_devices
+
+    start_devices(available_cores())
+    from calibration.model.stored_programs import source_digest
+    from calibration.reporting.statements import statements_page, statements_table
+    from slider_jax.io.files import output_folder
+    from slider_jax.statements.report import write_comparison
+
+    folder, digest = output_folder(out), source_digest()
+    content = write_comparison(folder, statements_page, digest, timed_printer())
+    print(statements_table(content))
+    print(f"published.html, published.json and figures are in {out}", file=sys.stderr)
+
+
+def _speeds(out: Path) -> None:
     from calibration.free_swimming.published_speeds import (
         FIRST,
         OPTIMUM,

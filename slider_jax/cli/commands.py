@@ -69,7 +69,7 @@ COMMANDS = {
     ),
     "published": Subcommand(
         "calibration.cli.published:published",
-        "compares the published swimming speeds with speeds from the paper's equations",
+        "compares the paper's statements or its swimming speeds with simulations",
     ),
     "effects matrix": Subcommand(
         "calibration.cli.effects_matrix:effects_matrix",

@@ -1,0 +1,233 @@
+"""Searches assumptions with which as many of the paper's statements as possible agree."""
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from slider_jax import paper
+from slider_jax.io.files import provenance
+from slider_jax.optimise.loop import Generation, OptimisationResult, run_optimiser, settings_of
+from slider_jax.optimise.optimiser import cma_es
+from slider_jax.optimise.population import Evaluation
+from slider_jax.statements.assumptions import RANGES, from_unit
+from slider_jax.statements.facts import facts
+from slider_jax.statements.quantities import COARSE, Quantities, StatementSettings, quantities
+from slider_jax.statements.statements import A_T, GA, PERFORMANCE, SIMULATED
+
+SWIMMING = tuple(
+    name
+    for name, one in SIMULATED.items()
+    if one.counted and one.place.startswith(("Fig. 7", "Fig. 8", PERFORMANCE, GA))
+)
+COUNTED = tuple(name for name, one in SIMULATED.items() if one.counted)
+ALL = "all statements"
+OBJECTIVES: dict[str, tuple[str, ...]] = {
+    ALL: COUNTED,
+    "head fixed": tuple(name for name in COUNTED if name not in SWIMMING),
+    "swimming": SWIMMING,
+}
+"""Statements that each search counts."""
+
+
+NARROW = 0.05
+"""Initial standard deviation of a refining search, as a fraction of the ranges."""
+
+
+class Effort(NamedTuple):
+    """Settings of a search by CMA-ES, which starts at a random point of the ranges."""
+
+    starts: int = 5
+    """Number of random starts for all statements."""
+    starts_of_groups: int = 3
+    """Number of random starts for each of the two groups of statements."""
+    population: int = 24
+    generations: int = 50
+    """Number of generations for all statements."""
+    of_groups: int = 20
+    """Number of generations for the two groups of statements."""
+    refining_population: int = 16
+    refining: int = 20
+    """Number of generations with `FINE`, from the best set of all searches."""
+
+    def searches(self) -> list[tuple[str, int]]:
+        """Returns objective and start of each search."""
+        groups = [name for name in OBJECTIVES if name != ALL]
+        found = [(ALL, start) for start in range(self.starts)]
+        return found + [(name, k) for k in range(self.starts_of_groups) for name in groups]
+
+    def of(self, objective: str) -> int:
+        """Returns the number of generations of a search."""
+        return self.generations if objective == ALL else self.of_groups
+
+
+class Simulator:
+    """Computes the facts for sets of assumptions, and keeps every evaluated set in a file."""
+
+    def __init__(self, at: StatementSettings = COARSE, log: Path | None = None):
+        self.at, self._log = at, log
+        self._evaluate = Evaluation(lambda x: quantities(from_unit(x), at), chunk=1)
+
+    def quantities(self, points: np.ndarray) -> list[Quantities]:
+        """Returns the simulated quantities for each row of `points` (n, 16) in the unit box."""
+        found = self._evaluate(points)
+        return [jax.tree.map(lambda x, i=i: x[i], found) for i in range(len(points))]
+
+    def __call__(self, points: np.ndarray) -> list[dict[str, float]]:
+        """Returns the facts for each row of `points` (n, 16) in the unit box."""
+        results = [facts(row, self.at) for row in self.quantities(points)]
+        if self._log is not None:
+            _drop_torn_line(self._log)
+            with self._log.open("a", encoding="utf-8") as file:
+                for point, result in zip(points, results, strict=True):
+                    file.write(json.dumps({"point": point.tolist(), "facts": result}) + "\n")
+        return results
+
+
+def _drop_torn_line(path: Path) -> None:
+    """Removes an incomplete last line, which an interrupted run leaves."""
+    if path.exists():
+        content = path.read_bytes()
+        if not content.endswith(b"\n"):
+            path.write_bytes(content[: content.rfind(b"\n") + 1])
+
+
+def agreement_score(found: dict[str, float], counted: tuple[str, ...]) -> float:
+    """Returns minus the mean of log(1 + miss^2) over the `counted` statements.
+
+    The logarithm limits the influence of statements that cannot agree.
+    """
+    missed = np.array([SIMULATED[name].miss(found[SIMULATED[name].fact]) for name in counted])
+    return -float(np.mean(np.log1p(missed**2)))
+
+
+def random_start(start: int) -> np.ndarray:
+    """Returns the point (16,) of the unit box at which search number `start` begins."""
+    return np.random.default_rng(start).uniform(0.2, 0.8, len(RANGES))
+
+
+def search(
+    simulate: Simulator,
+    objective: str,
+    start: int,
+    effort: Effort,
+    folder: Path,
+    on_generation: Callable[[Generation, float], None] = lambda generation, seconds: None,
+    refine: np.ndarray | None = None,
+) -> OptimisationResult:
+    """Returns the result of one search; an interrupted search resumes from its checkpoint.
+
+    The search starts at `random_start`, or near the point `refine` with a small spread.
+    """
+    counted = OBJECTIVES[objective]
+    if refine is None:
+        optimiser = cma_es(effort.population, len(RANGES), random_start(start))
+    else:
+        optimiser = cma_es(effort.population, len(RANGES), refine, NARROW)
+
+    def evaluate(points: np.ndarray, gradients: bool):
+        return np.array([agreement_score(x, counted) for x in simulate(points)]), None
+
+    task: dict[str, Any] = {
+        "objective": objective,
+        "ranges": {name: [x.low, x.high, x.log] for name, x in RANGES.items()},
+        "statements": {name: [SIMULATED[name].low, SIMULATED[name].high] for name in counted},
+        "refine": None if refine is None else refine.tolist(),
+        "nodes": simulate.at.search.numerics.nodes,
+        **provenance(),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    settings = settings_of(optimiser, effort.population, start, task)
+    return run_optimiser(
+        optimiser, evaluate, effort.of(objective), start, settings, folder, resume=True,
+        on_generation=on_generation,
+    )  # fmt: skip
+
+
+def _values(point: Sequence[float] | np.ndarray) -> dict[str, float]:
+    return from_unit(np.asarray(point)).values()
+
+
+def record_of(
+    objective: str, start: int | None, best: np.ndarray, score: float, reached: dict[str, float]
+) -> dict[str, Any]:
+    """Returns the record of one search in joint_fit.json; `reached` are the facts at `best`."""
+    return {
+        "objective": objective,
+        "start": start,
+        "score": score,
+        "agree": [x for x in COUNTED if SIMULATED[x].agrees(reached[SIMULATED[x].fact])],
+        "facts": {name: reached[name] for name in FRONT_FACTS},
+        "assumptions": _values(best),
+    }
+
+
+def summary(
+    searches: list[tuple[str, int, OptimisationResult]],
+    refined: tuple[OptimisationResult, dict[str, float]],
+    evaluated: list[dict[str, Any]],
+    effort: Effort,
+) -> dict[str, Any]:
+    """Returns the content of joint_fit.json.
+
+    `searches` are (objective, start, result). `refined` is the refining search and the facts at
+    its best set. `evaluated` are the rows of `Simulator`'s file.
+    """
+    by_point = {tuple(row["point"]): row["facts"] for row in evaluated}
+    agreeing = {
+        name: sum(one.agrees(row[one.fact]) for row in by_point.values())
+        for name, one in SIMULATED.items()
+    }
+    points = list(by_point)
+    witnesses = {}
+    for name, one in SIMULATED.items():
+        misses = [one.miss(by_point[point][one.fact]) for point in points]
+        witnesses[name] = _values(points[int(np.argmin(misses))])
+    final, reached = refined
+    return {
+        "refined": record_of(ALL, None, final.best, final.score, reached),
+        "evaluated": len(by_point),
+        "agreeing": agreeing,
+        "witnesses": witnesses,
+        "searches": [
+            record_of(objective, start, x.best, x.score, by_point[tuple(x.best.tolist())])
+            for objective, start, x in searches
+        ],
+        "front": front(by_point),
+        "ranges": {name: [x.low, x.high, x.log] for name, x in RANGES.items()},
+        "effort": effort._asdict(),
+    }
+
+
+FRONT_FACTS = ("sweep_peak_N", "sweep_peak_Hz", "tail_amplitude_m", "speed_m_per_s")
+
+
+def front(by_point: dict[tuple[float, ...], dict[str, float]]) -> list[dict[str, Any]]:
+    """Returns the sets of assumptions that no other set surpasses in both ends of the front.
+
+    One end is the largest head-fixed thrust, the other the tail amplitude at the optimum. Both
+    errors are logarithms of the ratio to the paper's value.
+    """
+    ends = (("sweep_peak_N", paper.PEAK_THRUST), ("tail_amplitude_m", A_T[0]))
+    rows = []
+    for point, found in by_point.items():
+        values = np.array([found[name] for name, _ in ends])
+        if np.isfinite(values).all() and (values > 0.0).all():
+            errors = np.abs(np.log(values / [stated for _, stated in ends]))
+            rows.append((errors, point, found))
+    rows.sort(key=lambda row: tuple(row[0]))
+    kept, least = [], np.inf
+    for errors, point, found in rows:
+        if errors[1] < least:
+            least = errors[1]
+            kept.append(
+                {
+                    "errors": errors.tolist(),
+                    "facts": {name: found[name] for name in FRONT_FACTS},
+                    "assumptions": _values(point),
+                }
+            )
+    return kept

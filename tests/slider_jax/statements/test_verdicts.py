@@ -1,0 +1,216 @@
+"""Verdicts on the statements, the searches' summary, and the page."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calibration.reporting.statements import statements_page, statements_table
+from slider_jax.optimise.loop import OptimisationResult
+from slider_jax.statements.assumptions import RANGES, Assumptions, to_unit
+from slider_jax.statements.joint_fit import (
+    ALL,
+    COUNTED,
+    OBJECTIVES,
+    Effort,
+    Simulator,
+    agreement_score,
+    front,
+    search,
+    summary,
+)
+from slider_jax.statements.quantities import COARSE, FINE
+from slider_jax.statements.statements import (
+    ASSUMED,
+    FAILED,
+    INCONSISTENT,
+    MISSED,
+    REPRODUCED,
+    SIMULATED,
+    TOLERANCES,
+)
+from slider_jax.statements.verdicts import (
+    Evidence,
+    counts,
+    fitted_assumptions,
+    joint_fit,
+    judged,
+    judged_optimum,
+    summary_sentence,
+)
+from slider_jax.swimming.paper_optimum import PAPER_GAIT
+
+
+def agreeing_facts(**changed):
+    """Facts with which all statements agree, except those that are `changed`."""
+    found = {}
+    for one in SIMULATED.values():
+        middle = one.published
+        found[one.fact] = middle if middle is not None else max(one.low, min(one.high, 0.0))
+    return found | changed
+
+
+def evidence(built_in, fitted, reverted=None, changed=(), witness=None):
+    witnesses = dict.fromkeys(SIMULATED, (Assumptions(k=0.02), witness or fitted))
+    return Evidence(built_in, fitted, reverted or {}, list(changed), witnesses)
+
+
+def verdict_of(name, x):
+    return next(one for one in judged(x) if one.name == name)
+
+
+def test_a_statement_that_the_built_in_robot_meets_is_reproduced():
+    x = evidence(agreeing_facts(), agreeing_facts())
+    assert {verdict_of(name, x).verdict for name in SIMULATED} == {REPRODUCED}
+    assert verdict_of("time_per_step", x).verdict == INCONSISTENT
+    assert sum(counts(judged(x)).values()) == len(judged(x))
+
+
+def test_the_necessary_assumptions_and_the_sufficient_changes_are_named():
+    slow = agreeing_facts(speed_m_per_s=0.1)
+    x = evidence(
+        slow,
+        agreeing_facts(),
+        reverted={"K_Q": slow, "k": agreeing_facts()},
+        changed=[("head_drag", 1e-2, agreeing_facts()), ("head_drag", 5e-3, agreeing_facts()),
+                 ("phase", 0.2, slow)],
+    )  # fmt: skip
+    found = verdict_of("speed", x)
+    assert found.verdict == ASSUMED
+    assert "not if one of these returns: K_Q;" in found.why
+    assert "enough: head_drag = 0.005 m^2" in found.why
+
+
+def test_a_statement_is_missed_only_if_no_simulated_set_meets_it():
+    slow, good = agreeing_facts(speed_m_per_s=0.1), agreeing_facts()
+    assert verdict_of("speed", evidence(slow, slow, witness=slow)).verdict == MISSED
+    other = verdict_of("speed", evidence(slow, slow, witness=good))
+    assert other.verdict == ASSUMED and "k = 0.02" in other.why
+    alone = evidence(slow, slow, changed=[("k", 0.05, good)], witness=slow)
+    assert verdict_of("speed", alone).verdict == ASSUMED
+    lost = agreeing_facts(speed_m_per_s=np.nan)
+    assert verdict_of("speed", evidence(lost, lost, witness=lost)).verdict == FAILED
+
+
+def test_the_optimum_agrees_within_a_tenth():
+    near, far = PAPER_GAIT._replace(frequency=6.8), PAPER_GAIT._replace(frequency=4.5)
+    found = {x.name: x for x in judged_optimum([(far, 0.5), (near, 0.24)], 0.232)}
+    assert found["optimum_frequency"].verdict == found["optimum_speed"].verdict == ASSUMED
+    assert found["optimum_phase"].verdict == REPRODUCED
+    assert found["optimum_tail_length"].built_in == pytest.approx(53.0)
+
+
+def test_the_score_counts_only_the_statements_of_its_objective():
+    wrong = agreeing_facts(speed_m_per_s=1.0)
+    assert agreement_score(agreeing_facts(), OBJECTIVES[ALL]) == 0.0
+    assert (
+        agreement_score(wrong, OBJECTIVES["swimming"])
+        < agreement_score(wrong, OBJECTIVES[ALL])
+        < 0.0
+    )
+    assert agreement_score(wrong, OBJECTIVES["head fixed"]) == 0.0
+    assert set(OBJECTIVES["swimming"]) | set(OBJECTIVES["head fixed"]) == set(OBJECTIVES[ALL])
+    assert OBJECTIVES[ALL] == COUNTED
+    assert {"tail_amplitude_measured", "wavelength_measured"} <= set(SIMULATED) - set(COUNTED)
+
+
+def test_the_front_contains_no_set_that_another_surpasses():
+    def row(thrust, amplitude):
+        return agreeing_facts(sweep_peak_N=thrust, tail_amplitude_m=amplitude,
+                              sweep_peak_Hz=4.8, speed_m_per_s=0.2)  # fmt: skip
+
+    points = np.linspace(0.1, 0.9, 4)[:, None] * np.ones(len(RANGES))
+    rows = [row(0.060, 0.020), row(0.120, 0.036), row(0.09, 0.03), row(0.12, 0.03)]
+    found = front({tuple(p): r for p, r in zip(points.tolist(), rows, strict=True)})
+    thrusts = [x["facts"]["sweep_peak_N"] for x in found]
+    assert thrusts == [0.060, 0.09, 0.12]
+    assert found[-1]["facts"]["tail_amplitude_m"] == 0.036
+
+
+class Bowl:
+    """In place of the simulation: facts that agree best at 0.3 in the unit box."""
+
+    at = COARSE
+
+    def __init__(self):
+        self.rows = []
+
+    def __call__(self, points):
+        found = [agreeing_facts(speed_m_per_s=0.232 * (1.0 + np.abs(x - 0.3).sum()))
+                 for x in points]  # fmt: skip
+        self.rows += [{"point": p.tolist(), "facts": f} for p, f in zip(points, found, strict=True)]
+        return found
+
+
+def test_a_search_resumes_and_its_summary_has_the_best_set(tmp_path):
+    effort, bowl = Effort(population=8, generations=6), Bowl()
+    search(bowl, ALL, 0, Effort(population=8, generations=3), tmp_path / "a")
+    found = search(bowl, ALL, 0, effort, tmp_path / "a")
+    whole = search(Bowl(), ALL, 0, effort, tmp_path / "b")
+    assert isinstance(found, OptimisationResult) and found.score == whole.score
+    refined = search(
+        bowl, ALL, 0, Effort(population=8, generations=2), tmp_path / "c", refine=found.best
+    )
+    facts = Bowl()(refined.best[None])[0]
+    content = summary([(ALL, 0, found)], (refined, facts), bowl.rows, effort)
+    (record,) = content["searches"]
+    assert content["evaluated"] == (6 + 2) * 8 and record["score"] == found.score
+    best = fitted_assumptions(content)
+    assert to_unit(best) == pytest.approx(refined.best)
+    assert content["refined"]["agree"] == record["agree"]
+
+
+def test_the_stored_searches_belong_to_the_present_statements_and_ranges():
+    found = joint_fit()
+    assert set(found["agreeing"]) == set(found["witnesses"]) == set(SIMULATED)
+    assert list(Assumptions().values()) == list(RANGES) == list(vars(Assumptions()))
+    for name, one in RANGES.items():
+        assert found["ranges"][name] == [one.low, one.high, one.log], name
+    done = [(x["objective"], x["start"]) for x in found["searches"]]
+    assert found["effort"] == Effort()._asdict() and done == Effort().searches()
+
+
+def record_of(judgements):
+    """A published.json with few values."""
+    robots = {name: {k: 1.0 for k in RANGES} for name in ("built-in robot", "joint assumptions")}
+    facts = {"sweep_peak_N": 0.06, "sweep_peak_Hz": 4.8, "tail_amplitude_m": 0.036,
+             "speed_m_per_s": 0.232}  # fmt: skip
+    return {
+        "said": summary_sentence(judgements),
+        "statements": [x._asdict() for x in judgements],
+        "counts": counts(judgements),
+        "tolerances": TOLERANCES,
+        "evaluated": 10,
+        "settings": {"assumptions": robots},
+        "ranges": {name: x._asdict() for name, x in RANGES.items()},
+        "optimum": {"paper": {"gait": PAPER_GAIT._asdict(), "speed_m_per_s": 0.232}},
+        "wavelengths_m": {name: {"phase": 0.3, "shape": 0.28} for name in robots},
+        "searches": [{"objective": ALL, "start": 0, "agree": ["speed"], "facts": facts}],
+        "front": [{"facts": facts, "assumptions": robots["built-in robot"]}],
+    }
+
+
+def test_the_page_and_the_table_show_every_statement():
+    judgements = judged(evidence(agreeing_facts(), agreeing_facts()))
+    record = record_of(judgements)
+    page = statements_page(record)
+    for x in judgements:
+        assert x.text.replace("'", "&#39;").replace("<", "&lt;") in page, x.name
+    table = statements_table(record)
+    assert "sweep peak frequency" in table and "time per step" not in table
+
+
+@pytest.mark.slow
+def test_the_stored_assumptions_give_the_stored_agreements(tmp_path):
+    """The best set of all searches, simulated again by the present program."""
+    best = joint_fit()["refined"]
+    simulate = Simulator(FINE, tmp_path / "log.jsonl")
+    points = np.array([to_unit(fitted_assumptions(joint_fit())), to_unit(Assumptions())])
+    fitted, built_in = simulate(points)
+    agree = [name for name in COUNTED if SIMULATED[name].agrees(fitted[SIMULATED[name].fact])]
+    assert agree == best["agree"]
+    for name, value in best["facts"].items():
+        assert fitted[name] == pytest.approx(value, rel=1e-6)
+    assert sum(SIMULATED[x].agrees(built_in[SIMULATED[x].fact]) for x in COUNTED) < len(agree)
+    assert len((tmp_path / "log.jsonl").read_text().splitlines()) == 2
+    assert json.loads((tmp_path / "log.jsonl").read_text().splitlines()[0])["facts"] == fitted
