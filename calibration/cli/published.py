@@ -27,7 +27,7 @@ def published(
 
     Args:
         out: folder for the results; created if missing. Files of the same name are replaced.
-        every_statement: compare all statements of the paper (about ten minutes on two cores).
+        every_statement: compare all statements of the paper (about eight minutes on two cores).
     """
     if every_statement:
         _all_statements(out)

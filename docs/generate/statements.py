@@ -11,6 +11,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from slider_jax.statements.statements import SIMULATED
+
 DOCS = Path(__file__).resolve().parents[1]
 PAGE, PICTURE = DOCS / "explanation" / "the_papers_statements.md", DOCS / "img" / "statements.png"
 WIDTH = 900
@@ -32,14 +34,16 @@ def tables_of(record: dict) -> dict[str, str]:
     for x in record["statements"]:
         allowed = f"{x['allowed']} {x['unit']}".removesuffix(" -")
         if x["kind"] in ("simulated", "map", "optimum"):
-            row = [x["place"], x["text"], allowed, number(x["built_in"]), number(x["fitted"])]
+            reading = SIMULATED[x["name"]].reading if x["name"] in SIMULATED else ""
+            text = f"{x['text']} ({reading})" if reading else x["text"]
+            row = [x["place"], text, allowed, number(x["built_in"]), number(x["fitted"])]
             simulated.append([*row, x["verdict"]])
         elif x["kind"] == "printed":
             printed.append(
                 [x["place"], x["text"], number(x["built_in"], 4), x["why"], x["verdict"]]
             )
         elif x["verdict"] == "not decidable":
-            other.append([x["place"], x["text"], x["why"].removeprefix("not decidable: ")])
+            other.append([x["place"], x["text"], x["why"]])
     built_in, joint = record["settings"]["assumptions"].values()
     assumptions = [
         [f"`{name}`", number(built_in[name]), number(joint[name]),

@@ -119,12 +119,15 @@ def evidence(
     ]
     others = [to_unit(x) for x in witnesses.values()]
     points = np.array([start, end, *reverted, *changed, *others])
-    rows: list[dict[str, float]] = []
-    for first in range(0, len(points), AT_ONCE):
-        part = points[first : first + AT_ONCE]
-        rows += parts.get(f"facts_{first}", partial(simulate, part))
-        progress(f"assumptions: {len(rows)} of {len(points)} sets")
-    rows = [{k: np.nan if v is None else v for k, v in row.items()} for row in rows]
+    # Some changes are no changes, and some sets are the best for several statements.
+    distinct, places = np.unique(points, axis=0, return_inverse=True)
+    computed: list[dict[str, float]] = []
+    for first in range(0, len(distinct), AT_ONCE):
+        part = distinct[first : first + AT_ONCE]
+        computed += parts.get(f"facts_{first}", partial(simulate, part))
+        progress(f"assumptions: {len(computed)} of {len(distinct)} sets")
+    computed = [{k: np.nan if v is None else v for k, v in row.items()} for row in computed]
+    rows = [computed[place] for place in places]
     at = 2 + len(names)
     changes = [
         (name, from_unit(point).values()[name], row)

@@ -165,6 +165,18 @@ def record_of(
     }
 
 
+def witness(name: str, by_point: dict[tuple[float, ...], dict[str, float]]) -> tuple[float, ...]:
+    """Returns the set of assumptions that shows best that a statement can agree.
+
+    It has the best score of the sets that agree. If none agrees, it has the smallest miss.
+    """
+    one = SIMULATED[name]
+    agreeing = [point for point, found in by_point.items() if one.agrees(found[one.fact])]
+    if agreeing:
+        return max(agreeing, key=lambda point: agreement_score(by_point[point], COUNTED))
+    return min(by_point, key=lambda point: one.miss(by_point[point][one.fact]))
+
+
 def summary(
     searches: list[tuple[str, int, OptimisationResult]],
     refined: tuple[OptimisationResult, dict[str, float]],
@@ -181,17 +193,12 @@ def summary(
         name: sum(one.agrees(row[one.fact]) for row in by_point.values())
         for name, one in SIMULATED.items()
     }
-    points = list(by_point)
-    witnesses = {}
-    for name, one in SIMULATED.items():
-        misses = [one.miss(by_point[point][one.fact]) for point in points]
-        witnesses[name] = _values(points[int(np.argmin(misses))])
     final, reached = refined
     return {
         "refined": record_of(ALL, None, final.best, final.score, reached),
         "evaluated": len(by_point),
         "agreeing": agreeing,
-        "witnesses": witnesses,
+        "witnesses": {name: _values(witness(name, by_point)) for name in SIMULATED},
         "searches": [
             record_of(objective, start, x.best, x.score, by_point[tuple(x.best.tolist())])
             for objective, start, x in searches

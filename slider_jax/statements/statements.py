@@ -217,7 +217,7 @@ SIMULATED: dict[str, Simulated] = {
         "wavelength of the shape times f; not counted, since it follows from lambda", False,
     ),
     "speed_over_wave_speed": Simulated(
-        PERFORMANCE, "The Froude efficiency (U + V)/2V is 0.57 (model).",
+        PERFORMANCE, "The Froude efficiency (U + V)/2V is 0.57, so U/V is 0.13 (model).",
         "speed_over_wave_speed", *_within(0.232 / 1.77, 0.15),
         reading="U/V, with V from the wavelength of the shape; not counted", counted=False,
     ),

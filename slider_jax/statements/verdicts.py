@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slider_jax import paper
 from slider_jax.optimise.design_space import VARIABLES
 from slider_jax.reproduction.design_findings import StatementCheck
 from slider_jax.statements.assumptions import RANGES, Assumptions, to_unit
@@ -27,8 +28,15 @@ from slider_jax.swimming.paper_optimum import PAPER_GAIT
 
 JOINT_FIT = Path(__file__).with_name("joint_fit.json")
 """The result of `scripts/fit_assumptions.py`."""
-OPTIMUM_TOLERANCE = 0.1
-"""Relative tolerance of the variables of the optimum."""
+OF_OPTIMUM = {
+    "frequency": "frequency",
+    "front": "front pressure",
+    "rear": "rear pressure",
+    "phase": "phase",
+    "tail_length": "length of the tail",
+    "EI_tail": "stiffness of the tail",
+}
+"""Texts for the variables of the optimum."""
 
 
 class Judgement(NamedTuple):
@@ -63,7 +71,7 @@ class Evidence(NamedTuple):
     changed: list[tuple[str, float, dict[str, float]]]
     """Facts of the built-in robot if one assumption has another value: name, value and facts."""
     witnesses: dict[str, tuple[Assumptions, dict[str, float]]]
-    """For each statement, the set of the searches that agreed best with it, and its facts."""
+    """For each statement, the set from `joint_fit.witness`, and its facts."""
 
 
 @cache
@@ -107,15 +115,15 @@ def judged_optimum(optima: list[tuple[Gait, float]], stated: float) -> list[Judg
 
     `optima` are gait and speed [m/s] of the built-in robot and of the joint assumptions.
     """
-    rows = [(name, f"{name} of the optimum", getattr(PAPER_GAIT, name), VARIABLES[name].factor,
+    rows = [(name, f"optimal {OF_OPTIMUM[name]}", getattr(PAPER_GAIT, name), VARIABLES[name].factor,
              VARIABLES[name].unit, [getattr(gait, name) for gait, _ in optima])
             for name in Gait._fields]  # fmt: skip
     rows.append(("speed", "speed of the optimum", stated, 100.0, "cm/s", [u for _, u in optima]))
     found = []
     for name, text, value, factor, unit, (here, joint) in rows:
-        agree = [abs(x / value - 1.0) <= OPTIMUM_TOLERANCE for x in (here, joint)]
+        agree = [abs(x / value - 1.0) <= paper.NEAR for x in (here, joint)]
         verdict = REPRODUCED if agree[0] else ASSUMED if agree[1] else MISSED
-        limits = _interval(*sorted(factor * value * (1.0 + s * OPTIMUM_TOLERANCE) for s in (-1, 1)))
+        limits = _interval(*sorted(factor * value * (1.0 + s * paper.NEAR) for s in (-1, 1)))
         found.append(
             Judgement(f"optimum_{name}", "optimum", "Optimum of the genetic algorithm",
                       f"The {text} is {factor * value:.4g} {unit}.", limits, unit, factor * here,

@@ -18,6 +18,7 @@ from slider_jax.statements.joint_fit import (
     front,
     search,
     summary,
+    witness,
 )
 from slider_jax.statements.quantities import COARSE, FINE
 from slider_jax.statements.statements import (
@@ -125,6 +126,16 @@ def test_the_front_contains_no_set_that_another_surpasses():
     thrusts = [x["facts"]["sweep_peak_N"] for x in found]
     assert thrusts == [0.060, 0.09, 0.12]
     assert found[-1]["facts"]["tail_amplitude_m"] == 0.036
+
+
+def test_the_witness_agrees_and_has_the_best_score():
+    far = agreeing_facts(strouhal=9.0, speed_m_per_s=0.5)  # a statement that does not count
+    near = agreeing_facts(speed_m_per_s=0.2)
+    rows = {(0.1,): far, (0.2,): near, (0.3,): agreeing_facts(tail_amplitude_m=0.01)}
+    assert witness("tail_amplitude", rows) == (0.2,)
+    assert witness("speed", rows) == (0.3,)
+    del rows[(0.3,)]
+    assert witness("speed", rows) == (0.2,)  # none agrees; this one misses least
 
 
 class Bowl:
