@@ -365,7 +365,7 @@ def _part_of_rig(kind: type[Effect]) -> str:
         return "pneumatics"
     if place == "Instrument":
         return f"sensors of {', '.join(kind.sensors)}"
-    return "water" if place in ("ForceDensity", "WaterMotion") else "body"
+    return "water" if place in ("ForceDensity", "WakeForce", "WaterMotion") else "body"
 
 
 def _replaces_effects(learned: LearnedModel, outcome: LoopOutcome) -> bool:

@@ -45,7 +45,7 @@ class Structure(eqx.Module):
 class Reference(eqx.Module):
     """Reference values in the cells, and dt [s]. A time derivative is (value - reference)/dt.
 
-    `internal` contains the state of each `BendingMoment` effect.
+    `internal` contains the state of each effect that has a state in the cells.
     """
 
     V_tau: Array

@@ -43,14 +43,15 @@ class Memory(eqx.Module):
 
     `motion` (3, N): V_tau [m/s], V_n [m/s] and phi [rad] at the nodes. `strain` (N - 1,): eps [-]
     in the cells. `head` (2,): position [m] of the head. `load` (3,): T, N, M at the head, filtered
-    with the time constant `MOUNT_LAG`. `internal`: state (N - 1,) of each `BendingMoment` effect.
+    with the time constant `MOUNT_LAG`. `internal`: state (..., N - 1) of each effect that has a
+    state in the cells.
     """
 
     motion: Float[Array, "3 nodes"]
     strain: Float[Array, " cells"]
     head: Float[Array, "2"]
     load: Float[Array, "3"]
-    internal: tuple[Float[Array, " cells"], ...] = ()
+    internal: tuple[Float[Array, "*states cells"], ...] = ()
 
 
 def straight_state(

@@ -10,6 +10,7 @@ energy, and E the kinetic and elastic energy. Pinning stops a moving end and exc
 includes the dissipation of these waves.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,11 +22,11 @@ from slider_jax import observables as obs
 from slider_jax.beam.parameters import G, Numerics, Scalar
 from slider_jax.beam.state import fields
 from slider_jax.dynamics.model import Model
-from slider_jax.dynamics.residual import internal_moments, turning_rate
+from slider_jax.dynamics.residual import forces_and_states, turning_rate
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest, with_motion
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
-from slider_jax.effects import Gravity, total_force
+from slider_jax.effects import Gravity
 from slider_jax.supports import PinnedLink
 from slider_jax.swimming.steady_state import STRIDES_BEFORE_START
 
@@ -97,8 +98,7 @@ def _saved(x: Snapshot) -> ClimbSeries:
     midline = obs.midline(x)
     rates = support.anchor_velocity(head, turning_rate(head, x.stage), x.t)
     others = tuple(e for e in x.stage.effects if not isinstance(e, Gravity))
-    F_tau, F_n = total_force(others, cell)
-    moments = sum((m for m, _ in internal_moments(cell, x.stage)), jnp.zeros_like(cell.s))
+    (F_tau, F_n), moments, _ = forces_and_states(cell, replace(x.stage, effects=others))
     damped = cell.damping_time * (cell.EI * cell.kappa_t**2 + cell.EA * cell.strain_t**2)
     given = moments * cell.kappa_t - (1.0 + cell.strain) * (F_tau * cell.V_tau + F_n * cell.V_n)
     return ClimbSeries(

@@ -25,6 +25,7 @@ from slider_jax.effects import (
     Effect,
     HeadRates,
     Mounting,
+    WakeForce,
     of_place,
     total_force,
 )
@@ -66,8 +67,7 @@ def cell_rows(
     form the Jacobian. A program with many effects then compiles faster.
     """
     x = _local(mid, slope, stage, tension)
-    force = total_force(stage.effects, x)
-    extra = sum((m for m, _ in internal_moments(x, stage)), jnp.zeros_like(mid.M))
+    force, extra, _ = forces_and_states(x, stage)
     if stage.actuators:
         extra = extra - _active_moment(x, stage, tension)
     bending = moment_law(mid, x, extra - stage.active_moment)
@@ -114,10 +114,26 @@ def _with_shape(bending: Array, x: Section, stage: Stage) -> Array:
     return jnp.where(stage.shape.cells, factor * (stage.shape.rate - x.kappa_t), bending)
 
 
-def internal_moments(x: Section, stage: Stage) -> list[tuple[Array, Array]]:
-    """Returns the moment [N m] in the cells and the new state of each `BendingMoment` effect."""
-    pairs = zip(of_place(stage.effects, BendingMoment), stage.reference.internal, strict=True)
-    return [effect.moment(x, memory, stage.reference.dt) for effect, memory in pairs]
+def forces_and_states(
+    x: Section, stage: Stage
+) -> tuple[tuple[Array, Array], Array, tuple[Array, ...]]:
+    """Returns what all effects do in the cells, and the new states of `states_at_rest`.
+
+    The values are the force per length (F_tau, F_n) [N/m] and the internal moment [N m].
+    """
+    F_tau, F_n = total_force(stage.effects, x)
+    wakes, moments = of_place(stage.effects, WakeForce), of_place(stage.effects, BendingMoment)
+    memories, dt, states = stage.reference.internal, stage.reference.dt, []
+    for effect, memory in zip(wakes, memories[: len(wakes)], strict=True):
+        (f_tau, f_n), state = effect.wake_force(x, memory, dt)
+        F_tau, F_n = F_tau + f_tau, F_n + f_n
+        states.append(state)
+    moment = jnp.zeros_like(x.kappa)
+    for effect, memory in zip(moments, memories[len(wakes) :], strict=True):
+        part, state = effect.moment(x, memory, dt)
+        moment = moment + part
+        states.append(state)
+    return (F_tau, F_n), moment, tuple(states)
 
 
 def turning_rate(head: Fields, stage: Stage) -> Array:

@@ -19,7 +19,7 @@ from slider_jax.dynamics.pressures import start_chambers
 from slider_jax.dynamics.residual import Stage, at_cells, jacobian, residual
 from slider_jax.dynamics.shapes import Shape, has_shape, shape_at
 from slider_jax.dynamics.step import Carry, initial_carry
-from slider_jax.effects import BendingMoment, of_place
+from slider_jax.effects import states_at_rest
 
 LONG = 1e9
 """Value of dt [s] in a static stage, so large that rates (value - reference)/dt vanish."""
@@ -61,7 +61,7 @@ def at_rest_under(
     """
     mesh = make_mesh(model.body, numerics)
     zero = jnp.zeros_like(mesh.grid.ds)
-    internal = tuple(zero for _ in of_place(model.effects, BendingMoment))
+    internal = states_at_rest(model.effects, zero)
     stage = Stage(
         structure=mesh.under(loads.pressure),
         effects=model.effects,
@@ -103,7 +103,7 @@ def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Car
     """Returns the carry that starts a rollout from the state `begin` when the tip is released."""
     y = begin.y.at[3:5].set(0.0)
     eps = begin.strain
-    internal = tuple(jnp.zeros_like(eps) for _ in of_place(model.effects, BendingMoment))
+    internal = states_at_rest(model.effects, eps)
     memory = Memory(y[3:], eps, jnp.zeros(2), y[:3, -1], internal)
     return initial_carry(y, memory, start_chambers(model))
 

@@ -27,14 +27,14 @@ from slider_jax.dynamics.pressures import Chambers, start_chambers
 from slider_jax.dynamics.residual import (
     Stage,
     at_cells,
-    internal_moments,
+    forces_and_states,
     jacobian,
     load_rates,
     residual,
 )
 from slider_jax.dynamics.shapes import has_shape, shape_at, shape_in_step
 from slider_jax.dynamics.time_schemes import Scheme, extrapolation
-from slider_jax.effects import BendingMoment, of_place, total_force
+from slider_jax.effects import states_at_rest
 from slider_jax.supports import Support
 
 
@@ -112,7 +112,7 @@ class Snapshot(eqx.Module):
     def force_density(self) -> Float[Array, "2 cells"]:
         """Returns the force per length (x, y) [N/m] of the effects in the cells."""
         section = self.section()
-        F_tau, F_n = total_force(self.stage.effects, section)
+        (F_tau, F_n), *_ = forces_and_states(section, self.stage)
         return jnp.stack(to_plane(F_tau, F_n, section.phi))
 
 
@@ -202,7 +202,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             strain=section.strain,
             head=head_of(y),
             load=stage.load_head + stage.reference.dt * load_rates(y[:, -1], stage),
-            internal=tuple(z for _, z in internal_moments(section, stage)),
+            internal=forces_and_states(section, stage)[2],
         )
         memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), solved, carry.memory)
         new = Carry(
@@ -255,8 +255,7 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
     else:
         s = grid_of(model.body, numerics).s
         y, memory = straight_state(s, V_tau, V_n, angle, rate)
-    internal = tuple(jnp.zeros_like(y[0, 1:]) for _ in of_place(model.effects, BendingMoment))
-    memory = eqx.tree_at(lambda m: m.internal, memory, internal)
+    memory = eqx.tree_at(lambda m: m.internal, memory, states_at_rest(model.effects, memory.strain))
     return initial_carry(y, memory, start_chambers(model))
 
 

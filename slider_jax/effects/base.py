@@ -165,6 +165,23 @@ class ForceDensity(Effect):
         raise NotImplementedError(f"{self.name()} is defined in the plane only")
 
 
+class WakeForce(Effect):
+    """A force per length on the body that depends on the past motion of each section."""
+
+    states: ClassVar[int] = 1
+    """Number of states of the effect in each cell."""
+
+    @abstractmethod
+    def wake_force(
+        self, x: Section, memory: Float[Array, "states cells"], dt: Array
+    ) -> tuple[tuple[Array, Array], Float[Array, "states cells"]]:
+        """Returns the force per length (F_tau, F_n) [N/m] and the states q after the stage.
+
+        In the stage, dq/dt is (q - `memory`)/`dt`. The method must solve the equations of q in
+        closed form. The states of a body at rest are 0.
+        """
+
+
 class BendingMoment(Effect):
     """An internal moment, added to the elastic and viscous moments."""
 
@@ -365,6 +382,17 @@ def in_space(effect: Effect | type[Effect]) -> bool:
     if issubclass(kind, BodyChange):
         return kind.serves_space
     return issubclass(kind, (Command, Flow, ActingPressure, Instrument))
+
+
+def states_at_rest(effects: tuple[Effect, ...], cells: Array) -> tuple[Array, ...]:
+    """Returns the state at rest of each effect with a state in the cells.
+
+    The effects of the place `WakeForce` are first, then those of the place `BendingMoment`. The
+    states have the precision and the last axis of `cells`.
+    """
+    zero = jnp.zeros_like(cells)
+    wakes = (jnp.zeros((e.states, *zero.shape), zero.dtype) for e in of_place(effects, WakeForce))
+    return (*wakes, *(zero for _ in of_place(effects, BendingMoment)))
 
 
 def total_load(effects: tuple[Effect, ...], x: SpatialSection) -> SpatialLoad:

@@ -31,6 +31,7 @@ from slider_jax.effects.base import (
     Instrument,
     Mounting,
     Readings,
+    WakeForce,
     WaterMotion,
     last_sample,
 )
@@ -83,6 +84,13 @@ def _section(moving: Array) -> Section:
 def _force(effect: ForceDensity, moving: Array) -> Response:
     zero = jnp.zeros(CELLS.shape)
     return Response(tuple(part + zero for part in effect.force(_section(moving))), (zero, zero))
+
+
+def _wake_force(effect: WakeForce, moving: Array) -> Response:
+    zero = jnp.zeros(CELLS.shape)
+    memory = jnp.zeros((effect.states, *CELLS.shape))
+    force, state = effect.wake_force(_section(moving), memory, jnp.asarray(DT))
+    return Response(tuple(part + zero for part in force), (zero, zero), state, memory)
 
 
 def _moment(effect: BendingMoment, moving: Array) -> Response:
@@ -185,6 +193,7 @@ PLACES: dict[type[Effect], Place] = {
     BendingMoment: Place("moment", _moment),
     Mounting: Place("give", _give),
     ForceDensity: Place("force", _force),
+    WakeForce: Place("wake_force", _wake_force),
     WaterMotion: Place("velocity", _velocity),
     Instrument: Place("read", _read),
 }

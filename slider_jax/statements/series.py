@@ -8,10 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax import observables as obs
-from slider_jax.beam.state import to_plane
 from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import TimeGrid, continued, rollout
-from slider_jax.effects import total_force
 from slider_jax.errors import SolverError
 from slider_jax.reproduction.wavelengths import wavelengths
 from slider_jax.statements.assumptions import Assumptions
@@ -42,11 +40,9 @@ class StrideSeries(NamedTuple):
 
 
 def _saved(x):
-    cell = x.section()
-    force = jnp.stack(to_plane(*total_force(x.stage.effects, cell), cell.phi))
     return (
-        x.chambers.acting, obs.tip(x), obs.thrust(x), obs.recoil(x), obs.midline(x), force,
-        x.chambers.acting @ x.mesh.chambers,
+        x.chambers.acting, obs.tip(x), obs.thrust(x), obs.recoil(x), obs.midline(x),
+        x.force_density(), x.chambers.acting @ x.mesh.chambers,
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from slider_jax.actuation import (
 )
 from slider_jax.beam.parameters import G, Scalar
 from slider_jax.dynamics.model import Drive, Model
-from slider_jax.effects.base import ForceDensity, Mounting, WaterMotion, of_place
+from slider_jax.effects.base import ForceDensity, Mounting, WakeForce, WaterMotion, of_place
 from slider_jax.effects.body.gravity import Gravity
 from slider_jax.errors import InputError
 from slider_jax.experiment.schema import Trial
@@ -101,6 +101,7 @@ def to_climber(
     waves = tuple(_capped(wave, cap) for wave in model.drive.waves)
     kept = [e for e in model.effects if not isinstance(e, (WaterMotion, Mounting, Gravity))]
     kept = [e for e in kept if not isinstance(e, ForceDensity) or e.in_air]
+    kept = [e for e in kept if not isinstance(e, WakeForce)]
     model = replace(
         model,
         effects=(Gravity(G), *kept),

@@ -14,7 +14,7 @@ from slider_jax.beam.parameters import Numerics
 from slider_jax.beam.state import straight_state, to_body, to_plane
 from slider_jax.dynamics.residual import at_cells
 from slider_jax.effects import MOUNT_LAG, Gravity, NormalDrag, ReactiveForce
-from slider_jax.effects.base import BendingMoment, of_place
+from slider_jax.effects.base import states_at_rest
 from slider_jax.effects.body.axial_flexibility import AxialFlexibility
 from slider_jax.effects.body.body_stiffness import BodyStiffness
 from slider_jax.effects.body.carried_mass import CarriedMass
@@ -72,7 +72,7 @@ def settled(effects, tail_load=None, dt=1e9, **robot):
     model = dataclasses.replace(model, robot=model.body)
     y, _ = straight_state(nodes_of(model, SMALL))
     stage = stage_of(model, SMALL, y, dt)
-    internal = tuple(jnp.zeros_like(y[0, 1:]) for _ in of_place(model.effects, BendingMoment))
+    internal = states_at_rest(model.effects, y[0, 1:])
     stage = dataclasses.replace(
         stage, reference=dataclasses.replace(stage.reference, internal=internal)
     )
