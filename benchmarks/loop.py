@@ -62,6 +62,7 @@ SINGLES = {
     "tank_current": "U_x", "tow_speed_error": "gain",
     "pressure_sensor_lag": "tau", "force_crosstalk": "angle", "force_clock_offset": "delay",
     "camera_delay": "delay", "lens_distortion": "k",
+    "wake_memory": "m_w", "edge_vortices": "C", "leading_edge_separation": "K",
 }  # fmt: skip
 """Effects, and for each effect the parameter that sets the effect's size."""
 SIZES = (10, 3, 1)
