@@ -2,8 +2,8 @@
 
     python scripts/fit_assumptions.py results/assumptions
 
-CMA-ES searches for three objectives: all statements (from five random starts), and those with a
-fixed head and those on swimming (from three each). A last search refines the best set on the mesh
+CMA-ES searches for three objectives: all statements, those with a fixed head, and those on
+swimming. Each search runs from five random starts. A last search refines the best set on the mesh
 of the table. The score is minus the mean of log(1 + miss^2). The result is joint_fit.json. Copy it
 to slider_jax/statements, from which `slider published --all` takes the joint assumptions.
 evaluated.jsonl contains every set of assumptions that was simulated. The searches take about an

@@ -41,9 +41,7 @@ class Effort(NamedTuple):
     """Settings of a search by CMA-ES, which starts at a random point of the ranges."""
 
     starts: int = 5
-    """Number of random starts for all statements."""
-    starts_of_groups: int = 3
-    """Number of random starts for each of the two groups of statements."""
+    """Number of random starts for each objective."""
     population: int = 24
     generations: int = 50
     """Number of generations for all statements."""
@@ -57,7 +55,7 @@ class Effort(NamedTuple):
         """Returns objective and start of each search."""
         groups = [name for name in OBJECTIVES if name != ALL]
         found = [(ALL, start) for start in range(self.starts)]
-        return found + [(name, k) for k in range(self.starts_of_groups) for name in groups]
+        return found + [(name, k) for k in range(self.starts) for name in groups]
 
     def of(self, objective: str) -> int:
         """Returns the number of generations of a search."""
