@@ -343,8 +343,8 @@ class BeamSolver(lx.AbstractLinearSolver):
     `init` factorises the operator. `compute` solves with these factors and may be called
     repeatedly. Reverse mode transposes `compute`, so `BeamOperator` needs no transpose.
 
-    `compiled` chooses between `block_kernel` and the functions in JAX. None chooses the former in
-    the plane, and the latter in three dimensions, where it takes less time for one robot.
+    `compiled` chooses between `block_kernel` and the functions in JAX. None chooses the former if
+    it is available.
     Without `differentiable`, the state is smaller, and `compute` may have no derivatives.
     """
 
@@ -352,10 +352,9 @@ class BeamSolver(lx.AbstractLinearSolver):
     differentiable: bool = True
 
     def init(self, operator, options):
-        double, plane = operator.left.dtype == jnp.float64, len(operator.tail) == 3
-        compiled = self.compiled
+        double, compiled = operator.left.dtype == jnp.float64, self.compiled
         if compiled is None:
-            compiled = double and plane and block_kernel.is_used()
+            compiled = double and block_kernel.is_used()
         if compiled and not (double and block_kernel.is_used()):
             raise ValueError(
                 f"BeamSolver(compiled=True): given {operator.left.dtype} on "

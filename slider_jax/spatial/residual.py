@@ -175,7 +175,20 @@ def spatial_residual(y: Float[Array, "12 nodes"], stage: SpatialStage):
     mid, slope = means_and_slopes(y, stage.structure.ds)
     tension = tensions_in_space(mid.T.tau, turning.curvature, stage)
     cells = spatial_cell_rows(mid, slope, turning, stage, tension)
-    return jnp.stack(cells), y[:6, 0], head_conditions(y[:, -1], stage)
+    return _stacked(cells), y[:6, 0], head_conditions(y[:, -1], stage)
+
+
+def _stacked(rows: tuple[Array, ...]) -> Float[Array, "rows cells"]:
+    """Returns the same as `jnp.stack`, in a form that XLA compiles to one loop.
+
+    `jnp.stack` gives a loop for each row, and each loop computes the section again. A step of one
+    robot then takes 480 us instead of 350 us.
+    """
+    index = jnp.arange(len(rows))[:, None]
+    found = jnp.broadcast_to(rows[-1], (len(rows), *rows[-1].shape))
+    for i, row in enumerate(rows[:-1]):
+        found = jnp.where(index == i, row, found)
+    return found
 
 
 def _each_component(like: Array) -> Vec:
