@@ -24,7 +24,7 @@ REACTIVE = (3.0, 1.0)
 PRESSURE_LAG = 0.087
 """Time constant k [s] of the pressure."""
 TRANSIENT_STRIDES = 3
-"""Number of strides before the motion is steady; the paper says "after three tailbeats"."""
+"""Number of strides before the motion is steady; in the paper, "after 3 tailbeat cycles"."""
 SWEEP = tuple(round(0.4 + 0.2 * i, 1) for i in range(34))
 """Frequencies [Hz] of the head-fixed sweep: 0.4 to 7.0 Hz in steps of 0.2 Hz."""
 
