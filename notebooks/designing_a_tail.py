@@ -184,5 +184,4 @@ print(f"{100 * np.nanmax(heights):.2f} cm/s on 17 nodes, {100 * finer:.2f} cm/s 
 # %% [markdown]
 # The command `slider optimize swim --out results/optimum` optimises all six variables. The command
 # uses all cores and writes checkpoints. The option `--algorithm gradient` selects gradient ascent.
-# The script `python scripts/fig7_design_maps.py results/fig7` draws design maps like those of the
-# paper.
+# `slider published --all` draws design maps like those of the paper.

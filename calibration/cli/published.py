@@ -7,12 +7,15 @@ from typing import Annotated
 
 import tyro
 
-from slider_jax.cli.options import Folder
+from slider_jax.cli.options import Folder, MaybeFolder
 from slider_jax.cli.progress import timed_printer
+from slider_jax.errors import InputError
 
 
 def published(
-    out: Folder, every_statement: Annotated[bool, tyro.conf.arg(name="all")] = False
+    out: Folder,
+    every_statement: Annotated[bool, tyro.conf.arg(name="all")] = False,
+    front: MaybeFolder = None,
 ) -> None:
     """Compares the paper's two measured free-swimming speeds with simulated speeds.
 
@@ -23,31 +26,38 @@ def published(
     With --all, the command instead compares every statement of the paper with the built-in robot,
     and with a set of assumptions that was fitted to all statements. The results are
     DIR/published.html, DIR/published.json and figures. An interrupted run resumes when you repeat
-    the command.
+    the command. The statements on Fig. 9, about one tail for swimming and climbing, need the
+    results of `slider optimize multimodal`; --front names their folder.
 
     Args:
         out: folder for the results; created if missing. Files of the same name are replaced.
         every_statement: compare all statements of the paper (about eight minutes on two cores).
+        front: results of `slider optimize multimodal` for the built-in robot, for --all (default:
+            none; the statements on Fig. 9 are then not simulated).
     """
     if every_statement:
-        _all_statements(out)
+        _all_statements(out, front)
+    elif front is not None:
+        raise InputError(f"--front {front}: only --all compares Fig. 9; add --all")
     else:
         _speeds(out)
 
 
-def _all_statements(out: Path) -> None:
+def _all_statements(out: Path, front: Path | None) -> None:
     from slider_jax.batch.chunks import available_cores
     from slider_jax.optimise.population import start_devices
 
     start_devices(available_cores())
     from calibration.model.stored_programs import source_digest
-    from calibration.reporting.statements import statements_page, statements_table
+    from calibration.reporting.statements import statements_page, statements_summary
     from slider_jax.io.files import output_folder
+    from slider_jax.statements.multimodal import load_front
     from slider_jax.statements.report import write_comparison
 
+    given = None if front is None else load_front(front)
     folder, digest = output_folder(out), source_digest()
-    content = write_comparison(folder, statements_page, digest, timed_printer())
-    print(statements_table(content))
+    content = write_comparison(folder, statements_page, digest, timed_printer(), given)
+    print(statements_summary(content))
     print(f"published.html, published.json and figures are in {out}", file=sys.stderr)
 
 

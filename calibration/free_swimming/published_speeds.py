@@ -4,7 +4,8 @@ The paper's drag acts only normal to the body, so nothing resists axial motion. 
 robot accelerates far beyond the measured speed, until its stroke no longer gives thrust. So this
 module adds an effect that resists axial motion. The effect is calibrated on one published speed,
 and predicts the other published speed. The quantities that the paper does not give are varied. The
-spread of the predictions shows their uncertainty.
+spread of the predictions shows their uncertainty. Both speeds were measured: 21.3 cm/s with a tail
+of 60 mm (Fig. 7d), and 21.7 cm/s with the optimal gait and a tail of 70 mm.
 """
 
 import itertools
@@ -31,7 +32,7 @@ from slider_jax.effects.water.tangential_friction import TangentialFriction
 from slider_jax.errors import SolverError
 from slider_jax.supports import Free
 from slider_jax.swimming.gait import Gait, gait_waves
-from slider_jax.swimming.paper_optimum import MEASURED_SPEED, PAPER_GAIT, PUBLISHED
+from slider_jax.swimming.paper_optimum import MEASURED_GAIT, MEASURED_SPEED, PUBLISHED
 from slider_jax.swimming.steady_state import (
     Steady,
     SteadySettings,
@@ -55,30 +56,32 @@ class PublishedPoint(NamedTuple):
     speed: float
     """Published speed [m/s]."""
     error: float
-    """Error of the speed [m/s]. For `FIRST` it is assumed, because the paper gives no error."""
+    """Error of the speed [m/s] that the paper states."""
     gaits: dict[str, Gait]
 
 
 FIRST = PublishedPoint(
     "5 Hz, phase 0.2",
     0.213,
-    0.004,
+    0.001,
     {
-        "365 kPa (from Q_set), tail of the paper's table": Gait(
-            5.0, 365e3, 365e3, 0.2, 0.070, 0.0058
+        "365 kPa (from Q_set), EI of the paper's table": Gait(
+            5.0, 365e3, 365e3, 0.2, 0.060, 0.0058
         ),
-        "260 kPa (reproduces the head-fixed thrust), tail of the paper's table": Gait(
-            5.0, 260e3, 260e3, 0.2, 0.070, 0.0058
+        "260 kPa (as in slider demo), EI of the paper's table": Gait(
+            5.0, 260e3, 260e3, 0.2, 0.060, 0.0058
         ),
-        "pressures and tail of the optimum": Gait(5.0, 448e3, 414e3, 0.2, 0.053, 0.017),
+        "pressures and EI of the optimum": Gait(5.0, 448e3, 414e3, 0.2, 0.060, 0.017),
     },
 )
-"""The paper does not give the pressures and the tail; all `gaits` are assumed."""
+"""The largest measured speed of Fig. 7d. The tail's length is stated. The frequency and the phase
+are stated for other panels of Fig. 7 and in the discussion. The paper does not give the pressures,
+and gives EI only for the simulation."""
 OPTIMUM = PublishedPoint(
-    "optimum: 6.3 Hz, phase 0.14", MEASURED_SPEED, 0.004, {"as the paper gives it": PAPER_GAIT}
+    "optimum: 6.3 Hz, phase 0.14", MEASURED_SPEED, 0.004, {"as the paper gives it": MEASURED_GAIT}
 )
 PAPER_MODEL_AT_OPTIMUM = PUBLISHED["speed_m_per_s"].model
-"""Speed [m/s] of the paper's own model."""
+"""Speed [m/s] of the paper's own model, with a tail of 53 mm."""
 
 RESISTIVE_EFFECTS: dict[str, Callable[[Any], Effect]] = {
     "tangential_friction": TangentialFriction,

@@ -22,8 +22,9 @@ from slider_jax.io.files import versions
 EQUIVALENT_SHARE = 0.8
 """Effects that remove more than this fraction of `unresisted_error` are equivalent effects."""
 NEXT_SPEED_EXPERIMENT = (
-    "Record the set pressures and the tail of the 5 Hz test. Tow the straight, unpowered robot at "
-    "0.1 to 0.4 m/s, with and without the tubes, to measure the resistance without a model."
+    "Record the set pressures and the tail's EI in the 5 Hz test. Tow the straight, unpowered "
+    "robot at 0.1 to 0.4 m/s, with and without the tubes, to measure the resistance without a "
+    "model."
 )
 
 
@@ -87,7 +88,10 @@ def speeds_sentence(x: CrossPrediction) -> str:
         f"to {100 * max(predicted):.1f} cm/s."
     )
     if verdict == UNEXPLAINED:
-        return sentences + " No coefficient within its prior range agrees with both points."
+        return sentences + (
+            " No coefficient within its prior range gives both speeds within "
+            f"{100 * allowed_error():.1f} cm/s, twice their combined error."
+        )
     if verdict == INCONCLUSIVE:
         sentences += " The resistance depends on quantities that the paper does not give."
     return sentences + " These points cannot discriminate between axial friction and form drag."
@@ -130,9 +134,12 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
             for p in (FIRST, OPTIMUM)
         ],
         "audit": [
-            "The paper does not give the pressures and the tail of the 5 Hz test; three "
-            "alternatives are assumed.",
-            "The paper gives no error of the 5 Hz speed; the error at the optimum is assumed.",
+            "The paper gives the length of the tail of the 5 Hz test, 60 mm, but not the pressures "
+            "and the stiffness of this tail; three alternatives are assumed.",
+            "The paper does not give the phase of the largest measured speed at 5 Hz; 0.2 is "
+            "assumed, the good phase in its discussion.",
+            "The speed at the optimum was measured with a tail of 70 mm. The paper's model has "
+            "53 mm.",
         ],
         "next_experiment": NEXT_SPEED_EXPERIMENT,
         "settings": {

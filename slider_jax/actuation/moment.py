@@ -44,8 +44,9 @@ def spread(position: Scalar, grid: Grid) -> Float[Array, " nodes"]:
 def chamber_windows(robot: Robot, grid: Grid) -> Float[Array, "chambers cells"]:
     """Returns the moment of each chamber in each cell, as a fraction of K_Q p.
 
-    In the paper, each chamber exerts two opposite couples K_Q p at its ends. The active moment is
-    therefore the sum of K_Q p times the window of each chamber.
+    Each chamber exerts two opposite couples K_Q p at its ends. The active moment is therefore the
+    sum of K_Q p times the window of each chamber. The paper names only the place of one couple,
+    "at the posterior adapter".
     """
 
     if not robot.chambers:

@@ -21,8 +21,8 @@ class SearchOptions:
 
     Args:
         experiment: experiment file (.toml) with the properties of robot and water that are not
-            optimised. The first trial must have a square wave (default: the paper's robot, with
-            the head's form drag fitted to the measured speed).
+            optimised. The first trial must have a square wave (default: the paper's robot. With
+            the head's form drag, the paper's optimum has the measured speed).
         model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
             its [[effects]] are added.
         population: number of individuals in a generation. In `multimodal`, an optimisation that

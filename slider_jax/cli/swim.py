@@ -34,7 +34,7 @@ def swim(
 
     Args:
         experiment: experiment file (.toml); towing and heaving of the trials are ignored (default:
-            the paper's optimum, with the head's form drag fitted to the measured speed).
+            the paper's optimum; with the head's form drag, it has the measured speed).
         out: folder for the results; created if missing. Existing files are replaced.
         model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
             its [[effects]] are added.

@@ -41,7 +41,8 @@ VARIABLES = {
     "EI_tail": Variable(0.001, 0.038, RobotTable, "EI_tail", "mN m^2", 1e3),
 }
 """Design variables in the order of `Gait`. The bounds are assumed. The highest frequency and the
-highest pressure are the paper's values. The stiffest tail is as stiff as the body."""
+highest pressure are the paper's values. The stiffest tail is as stiff as the body; the paper's
+optimum has the largest stiffness that its optimiser allowed, 17 mN m^2."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from slider_jax.optimise.loop import (
 from slider_jax.optimise.optimiser import Optimiser
 from slider_jax.optimise.population import Evaluation, is_first
 from slider_jax.swimming.gait import Gait, to_swimmer
-from slider_jax.swimming.paper_optimum import PAPER_GAIT, PUBLISHED
+from slider_jax.swimming.paper_optimum import MEASURED_GAIT, PAPER_GAIT, PUBLISHED
 from slider_jax.swimming.steady_state import SteadySettings, steady_speed
 
 MESH = 31
@@ -239,7 +239,8 @@ def optimum_summary(content: dict[str, Any]) -> list[str]:
         best += (
             f"; the paper's optimum: {1e2 * paper['speed_there_m_per_s']:.2f} cm/s in this model, "
             f"{1e2 * published['model']:.1f} cm/s in the paper's model, "
-            f"{1e2 * published['experiment']:.1f} cm/s measured"
+            f"{1e2 * published['experiment']:.1f} cm/s measured with a "
+            f"tail of {1e3 * MEASURED_GAIT.tail_length:.0f} mm"
         )
     lines.append(best)
     if not content["resisting"]:

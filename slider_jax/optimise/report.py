@@ -27,6 +27,11 @@ SHOWN = (
 and climber have different values, the panel shows both. "front" also shows the rear pressures."""
 
 
+CONVERGED = 0.99
+"""Least part of the largest efficiency that the optimisation of one task alone has to reach. Below
+it, the optimisations were too short."""
+
+
 def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
     """Returns each point of the front as a record for JSON, in SI units."""
     own = to_numerics(modes.task.experiment)[0]
@@ -122,7 +127,7 @@ def front_summary(content: dict[str, Any]) -> list[str]:
         f"{total} evaluations"
     )
     for name, found in content["alone"].items():
-        if found < 0.99 * only[name]:
+        if found < CONVERGED * only[name]:
             lines.append(
                 f"the optimisation of {name} alone reached {found:.4f}, less than a later "
                 "optimisation; repeat the command with more --generations in a new folder"
@@ -139,7 +144,10 @@ def front_summary(content: dict[str, Any]) -> list[str]:
 
 
 def plot_front(found: list[dict[str, Any]], only: dict[str, float], path: Path) -> None:
-    """Plots the front and the optimal variables against beta, like the paper's Fig. 9."""
+    """Plots the front and the optimal variables against beta.
+
+    As in the paper's Fig. 9, the tail is black, swimming is blue and climbing is red.
+    """
     figure, axes = new_figure(2, 3, figsize=(11, 6.5))
     beta = np.array([x["beta"] for x in found])
     front, *others = axes.flat
@@ -149,7 +157,8 @@ def plot_front(found: list[dict[str, Any]], only: dict[str, float], path: Path) 
     front.set(xlabel="E_swim/E_swim,only", ylabel="E_climb/E_climb,only")
     figure.colorbar(points, ax=front, label="beta")
     for (name, label, factor), ax in zip(SHOWN, others, strict=True):
-        shown = [(name, "C0o-", "both" if name in ("tail_length", "EI_tail") else "swimming")]
+        of_tail = name in ("tail_length", "EI_tail")
+        shown = [(name, "k-" if of_tail else "C0o-", "both" if of_tail else "swimming")]
         if f"climb_{name}" in found[0]:
             shown.append((f"climb_{name}", "C3s-", "climbing"))
         if name == "front":

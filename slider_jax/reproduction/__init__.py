@@ -1,2 +1,2 @@
-"""Reproduces the paper's frequency sweep, performance table and design maps. This package may
+"""Repeats the paper's frequency sweep and design maps, and measures wavelengths. This package may
 import `climbing`, `sweep` and packages of lower layers."""

@@ -11,7 +11,7 @@ BEST_PHASE, TOLERANCE = 0.15, 0.05
 """The paper's best phase of short tails, and the allowed difference from this phase. Both are
 fractions of a period."""
 MARKED = (0.0, 0.2, 0.5)
-"""Phases of the three points that the paper compares, as fractions of a period."""
+"""Marked phases, as fractions of a period: no delay, and the two that the paper compares."""
 MARKED_LENGTH = 0.06
 """Length of the tail [m] at the three points `MARKED`."""
 

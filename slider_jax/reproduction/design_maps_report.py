@@ -73,7 +73,7 @@ def _draw_slices(ax, drawn: Map, peaks: list[Peak], factor: float) -> None:
 
 
 def _mark(ax, over_phase: Map) -> None:
-    """Marks the three phases that the paper compares at 60 mm, and the paper's best phase."""
+    """Marks three phases at 60 mm, and the paper's best phase."""
     one = over_phase.slice_at(MARKED_LENGTH)
     speeds = [1e2 * float(one.at(phase)[0]) for phase in MARKED]
     ax.plot(MARKED, speeds, "ko", ms=6, zorder=5, clip_on=False)

@@ -1,4 +1,4 @@
-"""Computes the wavelength and tail slope of a swimmer's stride, by several definitions."""
+"""Computes the wavelength of a swimmer's stride, by several definitions."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -39,12 +39,6 @@ def without_recoil(y: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Returns the shapes y (times, points), each minus its fitted straight line."""
     line = np.stack([np.ones_like(s), s], axis=1)
     return y - (line @ np.linalg.lstsq(line, y.T, rcond=None)[0]).T
-
-
-def rms_tail_slope(along: np.ndarray, across: np.ndarray) -> float:
-    """Returns the standard deviation of dy/dx [-] at the tail's end over the stride."""
-    slope = np.diff(across[:, :2])[:, 0] / np.diff(along[:, :2])[:, 0]
-    return float(np.sqrt(((slope - slope.mean()) ** 2).mean()))
 
 
 def wavelengths(stride: Stride, s: np.ndarray, frequency: float) -> dict[str, float]:

@@ -41,8 +41,9 @@ STRIDES = 17
 """Number of tail beats of the sweep that count, as in the paper: 20 without the first three."""
 POINTS = 17
 """Number of values along each axis of a map."""
-MAP_LENGTHS, MAP_EI = (0.02, 0.10), (5e-4, 0.038)
-"""Ranges [m] and [N m^2] of the maps. The paper's text does not give them."""
+MAP_LENGTHS, MAP_EI = (0.02, 0.10), (3e-5, 0.038)
+"""Ranges [m] and [N m^2] of the maps. The paper's text does not give them. The smallest EI is below
+that of the fastest tail of 20 mm; the largest is the EI of the body."""
 
 Progress = Callable[[str], None]
 

@@ -2,12 +2,15 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from slider_jax.io.files import provenance, staged, write_json, write_text
+from slider_jax.optimise.report import plot_front
 from slider_jax.reproduction.design_findings import findings
 from slider_jax.reproduction.design_maps_report import plot_design_maps
 from slider_jax.statements import figures
@@ -23,11 +26,13 @@ from slider_jax.statements.investigation import (
     study,
     sweep_thrusts,
 )
-from slider_jax.statements.joint_fit import Simulator
+from slider_jax.statements.joint_fit import FRONT_FACTS, Simulator
+from slider_jax.statements.multimodal import judged_front
 from slider_jax.statements.quantities import FINE
 from slider_jax.statements.series import StrideSeries, head_fixed_stride, swimming_stride
 from slider_jax.statements.statements import TOLERANCES
 from slider_jax.statements.verdicts import (
+    Evidence,
     counts,
     fitted_assumptions,
     joint_fit,
@@ -36,7 +41,13 @@ from slider_jax.statements.verdicts import (
     judged_optimum,
     summary_sentence,
 )
-from slider_jax.swimming.paper_optimum import PAPER_GAIT, PUBLISHED
+from slider_jax.swimming.paper_optimum import (
+    HEAD_DRAG,
+    HEAD_DRAG_70_MM,
+    MEASURED_GAIT,
+    PAPER_GAIT,
+    PUBLISHED,
+)
 
 SHOWN = (1.0, 4.8)
 """Frequencies [Hz] of the paper's Figs. 5 and 6."""
@@ -45,13 +56,17 @@ ROBOTS = ("built-in robot", "joint assumptions")
 
 
 def write_comparison(
-    out: Path, page: Callable[[dict[str, Any]], str], program: str, progress: Callable[[str], None]
+    out: Path,
+    page: Callable[[dict[str, Any]], str],
+    program: str,
+    progress: Callable[[str], None],
+    front: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Writes published.json, published.html and the figures to `out`; returns the JSON content.
 
-    `page` makes the page from this content. Finished parts remain in `out` until the end, so that
-    an interrupted run resumes. Parts of another `program` (a digest of the source files) are
-    computed again.
+    `page` makes the page from this content. `front` is the result of `load_front`, for Fig. 9.
+    Finished parts remain in `out` until the end, so that an interrupted run resumes. Parts of
+    another `program` (a digest of the source files) are computed again.
     """
     searched = joint_fit()
     robots = dict(zip(ROBOTS, (Assumptions(), fitted_assumptions(searched)), strict=True))
@@ -79,6 +94,7 @@ def write_comparison(
         *judged(found),
         *judged_maps(checks[0], checks[1]),
         *judged_optimum(optima, PUBLISHED_SPEED),
+        *judged_front(front),
     ]
     content = {
         "said": summary_sentence(judgements),
@@ -97,6 +113,9 @@ def write_comparison(
         "wavelengths_m": {name: x for name, (_, x) in swims.items()},
         "maps": {name: _map_record(x) for name, x in studies.items()},
         "facts": {"built-in robot": found.built_in, "joint assumptions": found.fitted},
+        "single_changes": _change_records(found),
+        "head_drag": parts.get("head drag", partial(_head_drags, built_in, speeds)),
+        "multimodal": front,
         "searches": searched["searches"],
         "front": searched["front"],
         "evaluated": searched["evaluated"],
@@ -106,7 +125,8 @@ def write_comparison(
     }
     progress("drawing the figures")
     with staged(out) as stage:
-        _draw(robots, thrusts, studies, {name: x for name, (x, _) in swims.items()}, stage)
+        series = {name: x for name, (x, _) in swims.items()}
+        content["figures"] = _draw(robots, thrusts, studies, series, front, stage)
         write_json(stage / "published.json", content)
         plain = json.loads((stage / "published.json").read_text(encoding="utf-8"))
         write_text(stage / "published.html", page(plain))
@@ -119,8 +139,10 @@ def _draw(
     thrusts: np.ndarray,
     studies: dict[str, RobotStudy],
     swims: dict[str, StrideSeries],
+    front: dict[str, Any] | None,
     out: Path,
-) -> None:
+) -> list[str]:
+    """Draws the figures into `out` and returns their names."""
     named = dict(zip(robots, thrusts, strict=True))
     figures.plot_thrust_sweep(np.array(FINE.frequencies), named, out / "fig4.png")
     for number, frequency in zip((5, 6), SHOWN, strict=True):
@@ -131,6 +153,33 @@ def _draw(
         plot_design_maps(x.over_stiffness, x.over_phase, f"{name}, 5 Hz", path)
     figures.plot_length_slice(studies, out / "fig7c.png")
     figures.plot_swimmer(swims, out / "fig8.png")
+    if front is not None:
+        plot_front(front["front"], front["only"], out / "fig9.png")
+    return sorted(path.name for path in out.glob("*.png"))
+
+
+def _change_records(found: Evidence) -> list[dict[str, Any]]:
+    """Returns the main facts of the built-in robot if one assumption is at an end of its range."""
+    rows = []
+    for name, one in RANGES.items():
+        built_in = getattr(Assumptions(), name)
+        ends = (one.low, one.high)
+        for changed, value, facts in found.changed:
+            at_end = np.isclose(value, ends, atol=0.0).any()
+            if changed == name and at_end and not np.isclose(value, built_in, atol=0.0):
+                row = {key: facts[key] for key in FRONT_FACTS}
+                rows.append({"assumption": name, "value": value, "facts": row})
+    return rows
+
+
+def _head_drags(built_in: Assumptions, speeds: SwimSpeeds) -> list[dict[str, Any]]:
+    """Returns the speeds with both drag areas of the head, with the tails of 53 and 70 mm."""
+    gaits = {"speed_53_mm_m_per_s": PAPER_GAIT, "speed_70_mm_m_per_s": MEASURED_GAIT}
+    rows = []
+    for area in (HEAD_DRAG, HEAD_DRAG_70_MM):
+        found = speeds(replace(built_in, head_drag=area), np.array(list(gaits.values()), float))
+        rows.append({"area_m2": area, **dict(zip(gaits, found.tolist(), strict=True))})
+    return rows
 
 
 def _map_record(x: RobotStudy) -> dict[str, Any]:

@@ -37,6 +37,8 @@ TOLERANCES = {
     "comparison without a number": "the sign",
     "best phase": "0.05 of a period",
     "optimum": "no simulated neighbour of the optimum is faster by more than 1 % of its speed",
+    "influence of the weight of swimming": "a change by 10 %",
+    "rapid shift": "half of the whole change in a quarter of the range of the weight",
     "arithmetic with the paper's own numbers": "one unit of the last printed digit",
 }
 
@@ -415,11 +417,6 @@ GIVEN: dict[str, Given] = {
         MULTIMODAL,
         "Efficiencies are averages over 50 cycles of swimming and 15 cycles of climbing.", INPUT,
         "`slider optimize multimodal` averages over strides of the steady state",
-    ),
-    "beta": Given(
-        "Fig. 9", "The optimal tail and drive shift rapidly within a range of the weight, which "
-        "goes from 0 (climbing) to 1 (swimming).", UNDECIDABLE,
-        "the text gives no values; `slider optimize multimodal` computes the front",
     ),
     "generations": Given(
         GA, "Mutations decrease over 100 generations.", INPUT, "of `slider optimize swim`"

@@ -18,6 +18,7 @@ from slider_jax.statements.statements import (
     GIVEN,
     INCONSISTENT,
     MISSED,
+    OMITTED,
     PRINTED,
     REPRODUCED,
     SIMULATED,
@@ -39,12 +40,16 @@ OF_OPTIMUM = {
 """Texts for the variables of the optimum."""
 
 
+CHECKED = ("simulated", "map", "optimum", "multimodal")
+"""Kinds of statements that a simulation can check."""
+
+
 class Judgement(NamedTuple):
     """The verdict on a statement. Values are in `unit`; None if there is no value."""
 
     name: str
     kind: str
-    """`simulated`, `map`, `optimum`, `printed` or `given`."""
+    """`simulated`, `map`, `optimum`, `multimodal`, `printed` or `given`."""
     place: str
     text: str
     allowed: str
@@ -123,7 +128,7 @@ def judged_optimum(optima: list[tuple[Gait, float]], stated: float) -> list[Judg
     for name, text, value, factor, unit, (here, joint) in rows:
         agree = [abs(x / value - 1.0) <= paper.NEAR for x in (here, joint)]
         verdict = REPRODUCED if agree[0] else ASSUMED if agree[1] else MISSED
-        limits = _interval(*sorted(factor * value * (1.0 + s * paper.NEAR) for s in (-1, 1)))
+        limits = interval_text(*sorted(factor * value * (1.0 + s * paper.NEAR) for s in (-1, 1)))
         found.append(
             Judgement(f"optimum_{name}", "optimum", "Optimum of the genetic algorithm",
                       f"The {text} is {factor * value:.4g} {unit}.", limits, unit, factor * here,
@@ -161,7 +166,7 @@ def _simulated(name: str, x: Evidence) -> Judgement:
         why.append(f"one change of the built-in robot is enough: {', '.join(changes)}")
     return Judgement(
         name, "simulated", one.place, one.text,
-        _interval(one.low * one.factor, one.high * one.factor), one.unit, one.factor * here,
+        interval_text(one.low * one.factor, one.high * one.factor), one.unit, one.factor * here,
         one.factor * fitted, verdict, "; ".join(why), one.agrees(fitted),
     )  # fmt: skip
 
@@ -179,7 +184,8 @@ def _single_changes(name: str, x: Evidence) -> list[str]:
     return [f"{k} = {value:.3g} {RANGES[k].unit}" for k, (_, value) in found.items()]
 
 
-def _interval(low: float, high: float) -> str:
+def interval_text(low: float, high: float) -> str:
+    """Returns the allowed interval as text; an end may be infinite."""
     if not np.isfinite(low):
         return f"at most {high:.4g}"
     if not np.isfinite(high):
@@ -195,7 +201,7 @@ def counts(found: list[Judgement]) -> dict[str, int]:
 
 def summary_sentence(found: list[Judgement]) -> str:
     """Returns how many simulated statements agree, in three sentences."""
-    simulated = [x for x in found if x.kind in ("simulated", "map", "optimum")]
+    simulated = [x for x in found if x.kind in CHECKED and x.verdict != OMITTED]
     number = {v: sum(x.verdict == v for x in simulated) for v in (REPRODUCED, ASSUMED)}
     joint = sum(x.joint_agrees for x in simulated)
     return (

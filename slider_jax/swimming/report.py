@@ -8,7 +8,7 @@ import numpy as np
 
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.swimming.free_swim import AT_ONCE, Swim
-from slider_jax.swimming.paper_optimum import Published
+from slider_jax.swimming.paper_optimum import MEASURED_GAIT, PAPER_GAIT, Published
 from slider_jax.swimming.swim_in_space import SwimInSpace
 
 ROWS = (
@@ -64,9 +64,14 @@ def swim_table(row: dict[str, Any], published: dict[str, Published]) -> str:
     lines = [head]
     for line, (name, _, _, factor) in zip(value_lines(row, ROWS), ROWS, strict=True):
         for value, width in zip(published.get(name, ()), (14, 12), strict=False):
-            shown = f"{factor * value:{width}.4g}{row[name] / value:8.2f}" if value else ""
-            line += shown or " " * (width + 8)
+            line += f"{factor * value:{width}.4g}{row[name] / value:8.2f}"
         lines.append(line.rstrip())
+    if published:
+        model, measured = (1e3 * x.tail_length for x in (PAPER_GAIT, MEASURED_GAIT))
+        lines.append(
+            f"the tail of the paper's model has {model:.0f} mm, as here; that of its experiment "
+            f"{measured:.0f} mm"
+        )
     return "\n".join(lines)
 
 

@@ -19,13 +19,14 @@ from calibration.free_swimming.published_speeds import (
     paper_swimmer,
     steady_swim,
 )
-from calibration.free_swimming.report import CrossPrediction, speeds_verdict
+from calibration.free_swimming.report import CrossPrediction, allowed_error, speeds_verdict
 from calibration.lamprey.animal import force_on_body, prescribe
 from slider_jax.beam.parameters import Numerics
 from slider_jax.cli.main import main
 from slider_jax.dynamics.step import at_rest
 from slider_jax.effects import ReactiveForce
 from slider_jax.effects.water.head_added_mass import HeadAddedMass
+from slider_jax.swimming.paper_optimum import HEAD_DRAG, HEAD_DRAG_70_MM, MEASURED_GAIT, PAPER_GAIT
 from slider_jax.swimming.steady_state import SteadySettings, simulate_strides, with_added_velocity
 from tests.support.swimming_animal import SHAPE, one_stride, wave
 
@@ -68,6 +69,14 @@ def test_with_the_calibrated_coefficient_the_robot_swims_at_the_published_speed(
     assert speed == pytest.approx(OPTIMUM.speed, abs=1e-4)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("gait", "area"), [(PAPER_GAIT, HEAD_DRAG), (MEASURED_GAIT, HEAD_DRAG_70_MM)]
+)
+def test_the_heads_drag_areas_belong_to_the_measured_speed_and_their_tails(gait, area):
+    assert coefficient_at(OPTIMUM, gait, "head_drag") == pytest.approx(area, rel=5e-3)
+
+
 def test_with_the_heads_added_mass_the_mean_force_is_the_tails_momentum_flux():
     """For a blunt body of uniform height over one stride; otherwise the head's flux is added."""
     moved = wave(0.01, one_stride(96))
@@ -96,6 +105,14 @@ def test_with_the_heads_added_mass_the_mean_force_is_the_tails_momentum_flux():
 def predicted(speed, resisting="tangential_friction", coefficient=0.1):
     return SpeedPrediction(resisting, "h", FIRST.name, "g", coefficient, OPTIMUM.name, "o", speed,
                            OPTIMUM.speed)  # fmt: skip
+
+
+def test_the_published_points_have_the_tails_and_the_errors_of_the_paper():
+    """Fig. 7d: a tail of 60 mm, 21.3 +- 0.1. Optimum in hardware: a tail of 70 mm, 21.7 +- 0.4."""
+    assert {g.tail_length for g in FIRST.gaits.values()} == {0.060}
+    assert {g.tail_length for g in OPTIMUM.gaits.values()} == {0.070}
+    assert (FIRST.speed, FIRST.error, OPTIMUM.speed, OPTIMUM.error) == (0.213, 0.001, 0.217, 0.004)
+    assert allowed_error() == pytest.approx(0.0082, abs=1e-4)
 
 
 def unresisted():

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from calibration.reporting.statements import statements_page, statements_table
+from calibration.reporting.statements import statement_tables, statements_page, statements_summary
 from slider_jax.optimise.loop import OptimisationResult
 from slider_jax.statements.assumptions import RANGES, Assumptions, to_unit
 from slider_jax.statements.joint_fit import (
@@ -20,12 +20,14 @@ from slider_jax.statements.joint_fit import (
     summary,
     witness,
 )
+from slider_jax.statements.multimodal import FIG_9, OF_FRONT, judged_front
 from slider_jax.statements.quantities import COARSE, FINE
 from slider_jax.statements.statements import (
     ASSUMED,
     FAILED,
     INCONSISTENT,
     MISSED,
+    OMITTED,
     REPRODUCED,
     SIMULATED,
     TOLERANCES,
@@ -198,17 +200,40 @@ def record_of(judgements):
         "wavelengths_m": {name: {"phase": 0.3, "shape": 0.28} for name in robots},
         "searches": [{"objective": ALL, "start": 0, "agree": ["speed"], "facts": facts}],
         "front": [{"facts": facts, "assumptions": robots["built-in robot"]}],
-    }
+        "facts": {name: facts for name in robots},
+        "single_changes": [{"assumption": "k", "value": 0.02,
+                            "facts": facts | {"sweep_peak_N": None}}],
+        "head_drag": [{"area_m2": 1.9e-3, "speed_53_mm_m_per_s": 0.21,
+                       "speed_70_mm_m_per_s": 0.217}],
+        "figures": ["fig4.png"],
+    }  # fmt: skip
 
 
 def test_the_page_and_the_table_show_every_statement():
-    judgements = judged(evidence(agreeing_facts(), agreeing_facts()))
+    judgements = [*judged(evidence(agreeing_facts(), agreeing_facts())), *judged_front(None)]
     record = record_of(judgements)
     page = statements_page(record)
     for x in judgements:
         assert x.text.replace("'", "&#39;").replace("<", "&lt;") in page, x.name
-    table = statements_table(record)
-    assert "sweep peak frequency" in table and "time per step" not in table
+    assert "<td>19.0</td>" in page and 'src="fig4.png"' in page
+    summary = statements_summary(record)
+    assert "sweep peak frequency" in summary and "time per step" not in summary
+
+
+def test_each_statement_is_in_one_table_whose_rows_have_the_columns_of_the_head():
+    judgements = [*judged(evidence(agreeing_facts(), agreeing_facts())), *judged_front(None)]
+    assert summary_sentence(judgements) == summary_sentence(judgements[: -len(OF_FRONT)])
+    tables = statement_tables(record_of(judgements))
+    assert all(len(row) == len(x.head) for x in tables.values() for row in x.rows)
+    of_statements = [
+        tables[name].rows for name in ("simulated", "printed", "undecidable", "others")
+    ]
+    assert sum(map(len, of_statements)) == len(judgements)
+    assert tables["changes"].rows[1] == ["k", "0.02", "–", "4.8", "36.0", "23.2"]
+    (contradiction,) = [x for x in tables["printed"].rows if "slightly shorter" in x[1]]
+    assert contradiction[-1] == INCONSISTENT
+    (fig_9, *_) = [x for x in tables["simulated"].rows if x[0] == FIG_9]
+    assert fig_9[-2] == OMITTED and "slider optimize multimodal" in fig_9[-1]
 
 
 @pytest.mark.slow
