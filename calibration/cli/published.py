@@ -40,9 +40,9 @@ def _all_statements(out: Path) -> None:
     from slider_jax.optimise.population import start_devices
 
     start_devices(available_cores())
-    from calibration.model.stored_programs import source_digest
     from calibration.reporting.statements import statements_page, statements_table
     from slider_jax.io.files import output_folder
+    from slider_jax.programs import source_digest
     from slider_jax.statements.report import write_comparison
 
     folder, digest = output_folder(out), source_digest()

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,20 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax.batch.chunks import available_cores, chunks_of, run_in_threads, stack, take
-from slider_jax.batch.strides import (
-    POSES,
-    BatchRobot,
-    Plan,
-    compile_programs,
-    run_strides,
-    steady_quantities,
-)
+from slider_jax.batch.strides import POSES, BatchRobot, Plan, run_strides, steady_quantities
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.io.files import provenance, write_json
 from slider_jax.io.toml import field_at, quantity_of
 from slider_jax.swimming.gait import to_swimmer
-from slider_jax.swimming.performance import compile_swim, performance_table
+from slider_jax.swimming.performance import performance_table, swim_performance
 
 LARGEST_CHUNK = 8
 
@@ -224,22 +216,16 @@ def run_sweep(
     remaining = [i for i, chunk in enumerate(chunks) if not chunk.file.exists()]
     strides = 1 if sweep.swim else sweep.strides
     on_begin(len(chunks) * strides, (len(chunks) - len(remaining)) * strides)
-    compiled: dict[int, Any] = {}
-    locks = [threading.Lock() for _ in groups]
 
     def work(number, stopped):
         chunk = chunks[number]
         plan, members, _ = groups[chunk.group]
         batch = take(members, chunk.members)
-        with locks[chunk.group]:
-            if chunk.group not in compiled:
-                make = compile_swim if sweep.swim else compile_programs
-                compiled[chunk.group] = make(plan, batch)
         if sweep.swim:
-            rows = performance_table(*compiled[chunk.group](batch))
+            rows = performance_table(*swim_performance(plan, batch))
             on_stride()
         else:
-            runs = run_strides(plan, compiled[chunk.group], batch, on_stride, stopped)
+            runs = run_strides(plan, batch, on_stride, stopped)
             rows = steady_quantities(plan, batch, runs, sweep.transient)
         write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
 

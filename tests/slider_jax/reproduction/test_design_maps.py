@@ -212,7 +212,7 @@ def test_an_interrupted_script_resumes_and_writes_all_files(swimmer, tmp_path, c
         return made_up_table(*args)
 
     monkeypatch.setattr(sweeping, "available_cores", lambda: 1)
-    monkeypatch.setattr(sweeping, "compile_swim", lambda plan, _: lambda batch: (batch, None))
+    monkeypatch.setattr(sweeping, "swim_performance", lambda plan, batch: (batch, None))
     monkeypatch.setattr(sweeping, "performance_table", stopped_at_the_second)
     with pytest.raises(KeyboardInterrupt):
         main(command)

@@ -176,7 +176,6 @@ def test_the_ramp_follows_a_swept_frequency(experiment):
 def without_physics(monkeypatch, one_core_chunks_of_two):
     """Replaces the simulation of a sweep: every thrust is 1 N."""
     names = ("thrust_mean_N", "recoil_rms_N", "tip_half_range_m", "chamber_power_W")
-    monkeypatch.setattr(sweeping, "compile_programs", lambda *args: None)
     monkeypatch.setattr(sweeping, "run_strides", lambda *args: None)
     monkeypatch.setattr(
         sweeping, "steady_quantities", lambda *args: {name: np.ones(2) for name in names}

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibration.model import stored_programs
-from calibration.model.compiled import compiled_batch, compiled_once
-from calibration.model.stored_programs import UNUSED_DAYS, kept_programs
+from calibration.model.compiled import compiled_batch
+from slider_jax import programs
+from slider_jax.programs import UNUSED_DAYS, compiled_once, kept_programs
 
 TRACED = []
 
@@ -27,7 +27,7 @@ def folder(tmp_path, monkeypatch):
     before = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     TRACED.clear()
-    yield tmp_path / stored_programs.FOLDER
+    yield tmp_path / programs.FOLDER
     jax.config.update("jax_compilation_cache_dir", before)
 
 
@@ -113,20 +113,20 @@ def test_programs_of_other_sources_versions_and_settings_are_not_loaded(
     folder, changed, monkeypatch
 ):
     later_process(jnp.arange(4.0), 2.0)
-    monkeypatch.setattr(stored_programs, changed, lambda: 20 * "f")
+    monkeypatch.setattr(programs, changed, lambda: 20 * "f")
     later_process(jnp.arange(4.0), 2.0)
     assert TRACED == [2.0, 2.0]
 
 
 def test_nothing_is_stored_while_effects_of_other_files_are_loaded(folder, monkeypatch):
-    monkeypatch.setattr(stored_programs, "effect_files", lambda: [{"path": "own.py"}])
+    monkeypatch.setattr(programs, "effect_files", lambda: [{"path": "own.py"}])
     later_process(jnp.arange(8.0), 2.0)
     assert not files(folder)
 
 
 def test_nothing_is_stored_if_a_source_file_changed_meanwhile(folder, monkeypatch):
     with kept_programs():
-        monkeypatch.setattr(stored_programs, "source_digest", lambda: 20 * "f")
+        monkeypatch.setattr(programs, "source_digest", lambda: 20 * "f")
         stored_once(scaled)(jnp.arange(9.0), 2.0)
     assert not files(folder)
 
@@ -158,3 +158,12 @@ def test_programs_of_old_sources_are_deleted(folder):
         os.utime(path, (time.time() - 86400.0 * days,) * 2)
     later_process(jnp.arange(4.0), 2.0)
     assert not old.exists() and recent.exists() and other.exists()
+
+
+def test_freed_memory_is_returned_once_after_each_new_program(monkeypatch):
+    calls = []
+    monkeypatch.setattr(programs, "return_freed_memory", lambda: calls.append(1))
+    double = compiled_once(lambda x: 2.0 * x)
+    for size in (3, 3, 4, 3):
+        np.testing.assert_array_equal(double(np.ones(size)), 2.0 * np.ones(size))
+    assert len(calls) == 2
