@@ -46,6 +46,7 @@ _VERSION = re.compile(r"[0-9a-f]{16}")
 _FUNCTION = re.compile(r"(<function .*?) at 0x[0-9a-f]+>")
 _folders: list[Path] = []
 _hits = threading.local()
+_complete: list[bool] = []
 
 
 @contextmanager
@@ -71,6 +72,40 @@ def kept_programs() -> Iterator[None]:
         yield
     finally:
         _folders.pop()
+
+
+def compiled_programs() -> set[Path]:
+    """Returns the files of all compiled programs in the cache folder of JAX."""
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    if not folder or "://" in folder:
+        return set()
+    return {*Path(folder).glob("*-cache"), *(Path(folder) / FOLDER).glob("*/*")}
+
+
+@contextmanager
+def all_programs_kept() -> Iterator[None]:
+    """In a context of `kept_programs`, compiles programs again that only JAX's cache contains.
+
+    XLA cannot store a program that it has loaded. No other thread may compile in this context.
+    """
+    _complete.append(True)
+    try:
+        yield
+    finally:
+        _complete.pop()
+
+
+def _compiled_anew(lowered: Any) -> Any:
+    """Compiles a program without JAX's cache."""
+    from jax.experimental.compilation_cache.compilation_cache import reset_cache
+
+    reset_cache()  # else JAX ignores a change of the option
+    jax.config.update("jax_enable_compilation_cache", False)
+    try:
+        return lowered.compile()
+    finally:
+        jax.config.update("jax_enable_compilation_cache", True)
+        reset_cache()
 
 
 @cache
@@ -145,8 +180,10 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callab
             outs[:] = [tree]
             return values
 
-        before = _cache_hits()
-        compiled = jax.jit(flat).lower(*leaves).compile()
+        before, lowered = _cache_hits(), jax.jit(flat).lower(*leaves)
+        compiled = lowered.compile()
+        if _cache_hits() > before and _complete:
+            before, compiled = _cache_hits(), _compiled_anew(lowered)
         return_freed_memory()
         if _cache_hits() == before and _version() == folders[-1].name:
             _store(path, compiled, outs[0])
