@@ -2,16 +2,17 @@
 
 A job is the computation of one result file. A process claims a job before it computes the result:
 it creates the file `NAME.claim0`, which succeeds in only one process. The result is written under a
-temporary name and then renamed. While the process runs, it renews the times of its claims. If a
-claim is not renewed for `PATIENCE`, its process was killed; the process that creates
-`NAME.claim1` takes the job over, and so on. Each process measures this time with its own clock, so
-the clocks of the computers need not agree.
+temporary name and then renamed. While the process runs, it renews the times of its claims. A claim
+is void if its process does not exist any more on this computer, or if the claim is not renewed for
+`PATIENCE`. The process that creates `NAME.claim1` then takes the job over, and so on. Each process
+measures the time with its own clock, so the clocks of the computers need not agree.
 """
 
 import os
 import platform
 import threading
 import time
+import zlib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -87,9 +88,11 @@ class SharedFolder:
 
     def _is_void(self, claim: Path) -> bool:
         try:
-            renewed = claim.stat().st_mtime
+            renewed, owner = claim.stat().st_mtime, claim.read_text().split()
         except OSError:  # its process finished or gave up the job meanwhile
             return False
+        if len(owner) == 2 and owner[0] == platform.node() and not _exists(int(owner[1])):
+            return True
         now = time.monotonic()
         last, since = self._seen.get(claim.name, (renewed, now))
         self._seen[claim.name] = (renewed, now if renewed != last else since)
@@ -112,10 +115,15 @@ class SharedFolder:
     def compute(self, names: Iterable[str], work: Callable[[str], bytes]) -> None:
         """Returns when all results exist; `work(name)` computes those that no other process has."""
         pending = list(names)
-        while pending:
-            mine = [name for name in pending if self._computed(name, work)]
-            pending = [name for name in pending if not self.is_done(name)]
-            if pending and not mine:
+        first = zlib.crc32(f"{platform.node()} {os.getpid()}".encode()) % max(1, len(pending))
+        pending = pending[first:] + pending[:first]  # fewer processes try the same job
+        while True:
+            there = set(os.listdir(self.folder))  # one request for all jobs
+            pending = [name for name in pending if name not in there]
+            free = [name for name in pending if f"{name}.claim0" not in there]
+            if not pending:
+                return
+            if not any(self._computed(x, work) for x in free[:1] or pending) and not free:
                 time.sleep(PAUSE)
 
     def alone(self, name: str, is_done: Callable[[], bool], work: Callable[[], object]) -> None:
@@ -132,3 +140,13 @@ class SharedFolder:
             return False
         self.finish(name, work(name))
         return True
+
+
+def _exists(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # of another user
+        return True
+    return True

@@ -73,9 +73,10 @@ class SharedEvaluation:
     """An `Evaluation` whose parts are divided among processes that share `folder`.
 
     A result file contains the scores of as many individuals as one call of the program evaluates.
-    Its name is a digest of these individuals and of the `settings` on which the scores depend. A
-    process therefore never reads scores of another optimisation, and a resumed optimisation reads
-    the scores that it has. The processes need not be in the same generation.
+    The files of a population are in a folder whose name is a digest of the population and of the
+    `settings` on which the scores depend. A process therefore never reads scores of another
+    optimisation, and a resumed optimisation reads the scores that it has. The processes need not be
+    in the same generation.
     """
 
     def __init__(self, evaluation: Evaluation, folder: Path, settings: Any):
@@ -85,23 +86,20 @@ class SharedEvaluation:
     def __call__(self, population: np.ndarray) -> Any:
         """Returns scores (n, ...) of a population (n, d)."""
         rows = self._evaluation.rows
-        parts = {self._name(x): x for x in np.split(population, range(rows, len(population), rows))}
-        names = [self._name(population[i : i + rows]) for i in range(0, len(population), rows)]
+        parts = {f"part_{i:06d}": population[i : i + rows] for i in range(0, len(population), rows)}
+        content = f"{rows} {self._settings}".encode() + np.ascontiguousarray(population).tobytes()
+        folder = self._folder / hashlib.sha256(content).hexdigest()[:32]
 
         def scores(name: str) -> bytes:
             buffer = io.BytesIO()
             np.savez(buffer, *jax.tree.leaves(self._evaluation(parts[name])))
             return buffer.getvalue()
 
-        with SharedFolder(self._folder) as shared:
+        with SharedFolder(folder) as shared:
             shared.compute(parts, scores)
-        found = [np.load(io.BytesIO((self._folder / x).read_bytes())) for x in names]
+        found = [np.load(io.BytesIO((folder / name).read_bytes())) for name in parts]
         values = [np.concatenate([x[key] for x in found]) for key in found[0].files]
         return values[0] if len(values) == 1 else tuple(values)
-
-    def _name(self, part: np.ndarray) -> str:
-        content = self._settings.encode() + np.ascontiguousarray(part).tobytes()
-        return hashlib.sha256(content).hexdigest()[:32]
 
 
 def shared_by_folder(

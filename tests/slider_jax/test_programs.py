@@ -7,10 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 from calibration.model.compiled import compiled_batch
 from slider_jax import programs
-from slider_jax.programs import UNUSED_DAYS, compiled_once, kept_programs
+from slider_jax.programs import (
+    UNUSED_DAYS,
+    all_programs_kept,
+    compiled_once,
+    compiled_programs,
+    kept_programs,
+)
 
 TRACED = []
 
@@ -167,3 +174,43 @@ def test_freed_memory_is_returned_once_after_each_new_program(monkeypatch):
     for size in (3, 3, 4, 3):
         np.testing.assert_array_equal(double(np.ones(size)), 2.0 * np.ones(size))
     assert len(calls) == 2
+
+
+def test_a_program_within_another_program_is_not_stored(folder):
+    double = stored_once(lambda x: 2.0 * x)
+    with kept_programs():
+        np.testing.assert_array_equal(jax.jit(double)(jnp.arange(4.0)), 2.0 * jnp.arange(4.0))
+        assert jax.grad(lambda x: double(x))(1.5) == 2.0
+    assert not files(folder)
+
+
+def cubed(x):
+    """Returns the cube; only `test_a_program_of_the_cache_of_jax_is_compiled_again` uses it."""
+    return x * x * x + 0.625
+
+
+def test_a_program_of_the_cache_of_jax_is_compiled_again(folder):
+    """Otherwise, each later process would trace it."""
+    before = jax.config.values["jax_persistent_cache_min_compile_time_secs"]
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    compilation_cache.reset_cache()
+    try:
+        later_cube()
+        for path in files(folder):
+            path.unlink()
+        jax.clear_caches()
+        later_cube()
+        assert not files(folder)
+        jax.clear_caches()
+        with all_programs_kept():
+            later_cube()
+        assert len(files(folder)) == 1
+        assert {*files(folder)} < compiled_programs()
+    finally:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", before)
+        compilation_cache.reset_cache()
+
+
+def later_cube():
+    with kept_programs():
+        np.testing.assert_array_equal(stored_once(cubed)(jnp.ones(3)), 1.625 * np.ones(3))

@@ -63,16 +63,34 @@ def test_three_processes_compute_each_job_once(tmp_path):
 def test_the_jobs_of_a_killed_process_are_taken_over(tmp_path):
     first = started(tmp_path / "shared", tmp_path / "first", 2, 1000.0)
     wait_for(lambda: begun(tmp_path / "first"))
+    (its,) = begun(tmp_path / "first")
     second = started(tmp_path / "shared", tmp_path / "second", 2, 0.0, patience=2.0)
-    wait_for(lambda: (tmp_path / "shared" / "job_1").exists())
-    time.sleep(3.0)  # longer than the patience, but the first process is alive
-    assert begun(tmp_path / "second") == ["job_1 begun"]
+    wait_for(lambda: begun(tmp_path / "second"))
+    time.sleep(3.0)  # longer than the patience, but the first process renews its claim
+    (other,) = begun(tmp_path / "second")
+    assert {its, other} == {"job_0 begun", "job_1 begun"} and second.poll() is None
     first.send_signal(signal.SIGKILL)
     first.wait()
     assert second.wait(timeout=60) == 0
-    assert begun(tmp_path / "second") == ["job_1 begun", "job_0 begun"]
-    assert (tmp_path / "shared" / "job_0").read_bytes() == b"job_0"
-    assert not list((tmp_path / "shared").glob("*.claim*"))
+    assert begun(tmp_path / "second") == [other, its]
+    files = {x.name: x.read_bytes() for x in (tmp_path / "shared").iterdir()}
+    assert files == {"job_0": b"job_0", "job_1": b"job_1"}
+
+
+def test_a_claim_of_another_computer_is_void_if_it_is_not_renewed(tmp_path, monkeypatch):
+    monkeypatch.setattr(sharing, "PATIENCE", 0.2)
+    claim = tmp_path / "job.claim0"
+    claim.write_text("another_computer 1\n")
+    with SharedFolder(tmp_path) as shared:
+        for i in range(10):
+            assert not shared.take("job")
+            time.sleep(0.05)
+            os.utime(claim, (i, i))
+        assert not shared.take("job")
+        time.sleep(0.3)
+        assert shared.take("job")
+        with SharedFolder(tmp_path) as late:
+            assert not late.take("job")
 
 
 def test_a_job_that_fails_is_free_again(tmp_path):
