@@ -125,7 +125,7 @@ def few_memory_maps():
 @pytest.fixture(autouse=True)
 def no_kept_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands in this process keep no programs, because a test may have changed a function."""
-    monkeypatch.setattr("calibration.model.stored_programs.kept_programs", nullcontext)
+    monkeypatch.setattr("slider_jax.programs.kept_programs", nullcontext)
 
 
 @pytest.fixture(scope="module")

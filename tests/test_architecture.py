@@ -17,7 +17,7 @@ LAYERS = [
     {"slider_jax.io", "slider_jax.actuation", "slider_jax.supports", "slider_jax.water"},
     {"slider_jax.effects", "slider_jax.rod"},
     {"slider_jax.dynamics"},
-    {"slider_jax.spatial"},
+    {"slider_jax.programs", "slider_jax.spatial"},
     {"slider_jax.observables", "slider_jax.paper"},
     {"slider_jax.channels"},
     {"slider_jax.experiment"},
@@ -235,3 +235,26 @@ assert not jax.config.jax_enable_x64
     }
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=clean)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_simulation_imports_only_what_it_needs():
+    """The other modules would add a second to the start of every command."""
+    unneeded = [
+        "evosax", "matplotlib", "optax", "pandas", "scipy",
+        "slider_jax.effects.dictionary.details", "calibration", "rig",
+    ]  # fmt: skip
+    code = (
+        "import sys; from slider_jax.cli.main import prepare_jax; prepare_jax(); "
+        "import slider_jax.simulation.trial, slider_jax.swimming.free_swim, "
+        "slider_jax.climbing.climb, slider_jax.reproduction.frequency_sweep, slider_jax.programs; "
+        f"print(*(x for x in {unneeded} if x in sys.modules))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert run.stderr == "" and run.stdout.split() == []
+
+
+def test_help_imports_neither_jax_nor_numpy():
+    code = "import sys; from slider_jax.cli.main import main; main(['--help']); "
+    code += "print('imported', *(x for x in ('jax', 'numpy', 'tyro') if x in sys.modules))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert run.stdout.endswith("imported\n") and run.stderr == ""

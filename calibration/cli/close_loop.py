@@ -50,7 +50,6 @@ def close_loop(
     )
     from calibration.inference.cache import input_settings, resumable
     from calibration.learning.report import learned_lines, learned_model_toml, learned_parts
-    from calibration.model.stored_programs import kept_programs
     from slider_jax.experiment.load import Experiment, load
     from slider_jax.io.files import staged, write_json, write_text
 
@@ -65,7 +64,7 @@ def close_loop(
     close = _close_on_experiment if isinstance(given, Experiment) else _close_on_logs
     names = _candidates(given, only, without)
     choice = {"only": sorted(only), "without": sorted(without)}
-    with kept_programs(), resumable(out, input_settings(files, folder) | choice) as memo:
+    with resumable(out, input_settings(files, folder) | choice) as memo:
         _announce_replacement(out)
         outcome, record, learning = close(given, names, inputs, memo, progress, seconds)
         record["candidate_choice"] = choice | _counted(given, names)

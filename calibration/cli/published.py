@@ -48,9 +48,9 @@ def _all_statements(out: Path, front: Path | None) -> None:
     from slider_jax.optimise.population import start_devices
 
     start_devices(available_cores())
-    from calibration.model.stored_programs import source_digest
     from calibration.reporting.statements import statements_page, statements_summary
     from slider_jax.io.files import output_folder
+    from slider_jax.programs import source_digest
     from slider_jax.statements.multimodal import load_front
     from slider_jax.statements.report import write_comparison
 

@@ -13,8 +13,8 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from calibration.model.stored_programs import source_digest
 from slider_jax.io.files import effect_files, input_file, replacing, tentative_folder, versions
+from slider_jax.programs import source_digest
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,17 @@
-"""Compiles functions once for all threads, batches them over trials, and adds tangents to them."""
+"""Compiles functions for batches of trials, and adds tangents to functions."""
 
-from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 
-from calibration.model.stored_programs import return_freed_memory, stored_program
 from slider_jax.batch.chunks import available_cores
+from slider_jax.programs import compiled_once
 
 MOST_MAPS = 40_000
 """Largest number of memory maps of a process between two analyses. Linux allows 65,530 by default,
@@ -41,42 +39,6 @@ def limit_memory_maps() -> None:
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > MOST_MAPS:
         jax.clear_caches()
-
-
-def compiled_once(function, stored: bool = False):
-    """Returns the compiled `function`; a thread waits while another thread compiles it.
-
-    JAX compiles a program twice if two threads call it for the first time at the same time. If
-    `stored` is true, a context of `kept_programs` loads the program from a file if an earlier
-    process stored it. On two threads, loaded programs for tangents take 1.2 times as long as
-    programs of `jax.jit`, so they are not stored.
-    """
-    jitted = eqx.filter_jit(function)
-    locks: dict[Hashable, Lock] = defaultdict(Lock)
-    ready: dict[Hashable, Callable] = {}
-
-    def call(*arguments):
-        key = call_signature(arguments)
-        if key in ready:
-            return ready[key](*arguments)
-        with locks[key]:
-            if key in ready:
-                return ready[key](*arguments)
-            kept = stored_program(function, arguments) if stored else None
-            if kept is None:
-                kept = jitted, jitted(*arguments)
-                return_freed_memory()
-            ready[key], found = kept
-        return found
-
-    return call
-
-
-def call_signature(arguments: tuple) -> Hashable:
-    """Returns the structure of `arguments`, the arrays' shapes and types, and all other values."""
-    leaves, structure = jax.tree.flatten(arguments)
-    kinds = ((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in leaves if eqx.is_array(x))
-    return structure, *kinds, *(x for x in leaves if not eqx.is_array(x))
 
 
 def compiled_batch(function):

@@ -9,7 +9,6 @@ import numpy as np
 from calibration.model.compiled import (
     DIRECTIONS,
     by_directions,
-    compiled_once,
     rows_per_call,
     slices,
     with_tangents,
@@ -45,6 +44,7 @@ from slider_jax.dynamics.pressures import Chambers, start_chambers
 from slider_jax.dynamics.step import Carry
 from slider_jax.dynamics.time_schemes import Scheme
 from slider_jax.effects.library import KNOWN_EFFECTS
+from slider_jax.programs import compiled_once
 from slider_jax.simulation.trial import run_chunks
 
 

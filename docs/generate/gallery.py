@@ -88,6 +88,11 @@ ENTRIES = {
         "results/strip/shape.png",
         needs="examples",
     ),
+    "warm-up": Entry(
+        "warm-up docs/experiment.toml --parts simulate swim",
+        "The command compiled the programs of two commands for this experiment on a new computer. "
+        "The next `slider simulate` and `slider swim` load them.",
+    ),
     "sweep": Entry(
         "sweep docs/experiment.toml --field robot.EI_tail --from 0.002 --to 0.02 --count 8 "
         "--strides 5 --steps-per-stride 100 --out results/tail",

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.interpolate import CubicSpline
 
 from slider_jax.actuation.actuator import Actuator
 from slider_jax.beam.parameters import Scalar
@@ -104,6 +103,8 @@ def recorded_shape(
             f"curvature of a recorded shape: given an array of shape {curvature.shape}; allowed "
             f"finite numbers of shape {(len(times), len(distances))}, one row for each time"
         )
+    from scipy.interpolate import CubicSpline  # few robots need this import, which takes 0.2 s
+
     spline = CubicSpline(times, curvature)
     return RecordedShape(
         near, far, jnp.asarray(distances), jnp.asarray(times), jnp.asarray(spline.c)

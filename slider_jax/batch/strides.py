@@ -21,6 +21,7 @@ from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
+from slider_jax.programs import kept_once
 
 POSES = 20
 """Number of midlines saved in the last stride."""
@@ -38,7 +39,7 @@ class BatchRobot(eqx.Module):
 
 
 class Plan(NamedTuple):
-    """Settings that are constant in the compiled programs."""
+    """Settings of a run. All except `strides` are constant in the compiled programs."""
 
     steps_per_stride: int
     """Number of time steps per stride, a multiple of `POSES`."""
@@ -46,13 +47,6 @@ class Plan(NamedTuple):
     numerics: Numerics
     scheme: Scheme = SDIRK2
     channels: ChannelSet = SLIDER_CHANNELS
-
-
-class Programs(NamedTuple):
-    """Compiled programs for one chunk size: `rest` starts a run, `stride` simulates one stride."""
-
-    rest: Callable[[BatchRobot], Carry]
-    stride: Callable[[BatchRobot, Array, Carry], tuple[Carry, dict[str, Array]]]
 
 
 def saved_quantities(channels: ChannelSet, x: Snapshot) -> dict[str, Array]:
@@ -63,28 +57,29 @@ def saved_quantities(channels: ChannelSet, x: Snapshot) -> dict[str, Array]:
     }
 
 
-def one_stride(
-    plan: Plan, robot: BatchRobot, number, carry: Carry
+@kept_once
+def _rest(chunk: BatchRobot, numerics: Numerics) -> Carry:
+    return jax.vmap(lambda robot: at_rest(robot.model, numerics))(chunk)
+
+
+@kept_once
+def _stride(
+    plan: Plan, chunk: BatchRobot, number: Array, carry: Carry
 ) -> tuple[Carry, dict[str, Array]]:
-    """Simulates stride `number` (first: 0) of a robot; returns the final carry and the series."""
-    steps, f = plan.steps_per_stride, robot.frequency
-    times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
-    save = ft.partial(saved_quantities, plan.channels)
-    out = continued(carry, robot.model, times, save, plan.numerics, plan.scheme)
-    return out.final, {"t": out.t} | out.saved
+    """Simulates stride `number` (first: 0); returns the final carry and the series."""
 
+    def one(robot: BatchRobot, carry: Carry):
+        steps, f = plan.steps_per_stride, robot.frequency
+        times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
+        save = ft.partial(saved_quantities, plan.channels)
+        out = continued(carry, robot.model, times, save, plan.numerics, plan.scheme)
+        return out.final, {"t": out.t} | out.saved
 
-def compile_programs(plan: Plan, chunk: BatchRobot) -> Programs:
-    """Returns compiled programs for chunks with the structure and size of `chunk`."""
-    rest = jax.jit(jax.vmap(lambda robot: at_rest(robot.model, plan.numerics)))
-    stride = jax.jit(jax.vmap(ft.partial(one_stride, plan), (0, None, 0)))
-    number = jnp.asarray(0.0)
-    return Programs(rest, stride.lower(chunk, number, jax.eval_shape(rest, chunk)).compile())
+    return jax.vmap(one)(chunk, carry)
 
 
 def run_strides(
     plan: Plan,
-    programs: Programs,
     chunk: BatchRobot,
     on_stride: Callable[[], None] = lambda: None,
     stopped: Callable[[], bool] = lambda: False,
@@ -95,11 +90,12 @@ def run_strides(
     2, nodes) [m] contains midlines of the last stride. `ok` (robots,) is False if a robot's
     simulation failed. Raises `StopRequested` if `stopped()` is true between strides.
     """
-    carry, series = programs.rest(chunk), []
+    carry, series = _rest(chunk, plan.numerics), []
+    shared = plan._replace(strides=0)  # all numbers of strides share a program
     for number in range(plan.strides):
         if stopped():
             raise StopRequested
-        carry, saved = programs.stride(chunk, jnp.asarray(float(number)), carry)
+        carry, saved = _stride(shared, chunk, jnp.asarray(float(number)), carry)
         midline = np.asarray(saved.pop("midline"))
         series.append({name: np.asarray(values) for name, values in saved.items()})
         on_stride()

@@ -63,6 +63,10 @@ COMMANDS = {
         "finds out from measured trials which effects a model lacks",
         effects=True,
     ),
+    "warm-up": Subcommand(
+        "calibration.cli.warm_up:warm_up",
+        "compiles the programs of the everyday commands, so that their first call is faster",
+    ),
     "lamprey": Subcommand(
         "calibration.cli.lamprey:lamprey",
         "computes the axial force balance of a swimming animal from measured midlines",

@@ -66,12 +66,17 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
 
 def run_command(arguments: Sequence[str]) -> int:
     """Runs one command and returns its exit code. Raises input and solver errors."""
-    name, rest = find(arguments)
-    if COMMANDS[name].jax:
-        prepare_jax()
     from slider_jax.cli.parse import call_of
 
-    return int(call_of(function_of(COMMANDS[name].target), rest, name)() or 0)
+    name, rest = find(arguments)
+    if not COMMANDS[name].jax:
+        return int(call_of(function_of(COMMANDS[name].target), rest, name)() or 0)
+    prepare_jax()
+    call = call_of(function_of(COMMANDS[name].target), rest, name)
+    from slider_jax.programs import kept_programs
+
+    with kept_programs():
+        return int(call() or 0)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

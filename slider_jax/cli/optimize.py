@@ -35,10 +35,10 @@ class SearchOptions:
         EI_tail: bounds of the tail's bending stiffness, in N m^2 (default: 0.001 0.038).
         steps_per_stride: number of time steps in a swimming stride, an even number. A climbing
             stride has one third more time steps than this number.
-        coordinator: host and port at which the first of several processes listens; not needed under
-            SLURM (default: none).
-        processes: number of processes that compute together.
-        process: number of this process, counted from 0.
+        coordinator: host and port at which the first of several connected processes listens.
+            Processes that share DIR need no connection (default: none).
+        processes: number of connected processes.
+        process: number of this process among the connected processes, counted from 0.
     """
 
     experiment: MaybeExperiment = None
@@ -106,6 +106,28 @@ def _reporter() -> Callable[..., None]:
     return report
 
 
+def _writer(out: Path, file: str) -> Callable[[Callable[[], None]], None]:
+    """Returns a function that calls `write()` in one of the processes that share the folder.
+
+    `write` replaces `file`. The other processes wait until this file is newer than now.
+    """
+    from slider_jax.io.sharing import SharedFolder
+    from slider_jax.optimise.population import SCORES, barrier, is_first
+
+    def time_of_file() -> int:
+        return (out / file).stat().st_mtime_ns if (out / file).exists() else 0
+
+    before = time_of_file()
+
+    def write_in_one_process(write: Callable[[], None]) -> None:
+        if is_first():  # of connected processes
+            with SharedFolder(out / SCORES) as shared:
+                shared.alone("result", lambda: time_of_file() != before, write)
+        barrier("results are written")
+
+    return write_in_one_process
+
+
 @contextmanager
 def _resumable(out: Path) -> Iterator[None]:
     """Prints how to resume if the user interrupts the command after the first checkpoint."""
@@ -149,7 +171,6 @@ def optimize_swim(
     from slider_jax.io.files import output_folder
     from slider_jax.optimise import fastest_swimmer
     from slider_jax.optimise.optimiser import make_optimiser
-    from slider_jax.optimise.population import barrier, is_first
 
     bounds = {"frequency": frequency, "front": front, "rear": rear, "phase": phase,
               "tail_length": search.tail_length, "EI_tail": search.EI_tail}  # fmt: skip
@@ -157,7 +178,7 @@ def optimize_swim(
     population, generations = search.population, search.generations
     optimiser = make_optimiser(algorithm, population, 6)
     output_folder(out)
-    report = _reporter()
+    report, write_in_one_process = _reporter(), _writer(out, "optimum.json")
 
     def on_generation(generation, seconds: float) -> None:
         text = f"best {1e2 * generation.best:.2f} cm/s, mean {1e2 * generation.mean:.2f}"
@@ -167,12 +188,14 @@ def optimize_swim(
         found = fastest_swimmer.search_fastest(
             task, optimiser, population, generations, search.seed, out, search.resume, on_generation
         )
-    if is_first():
+
+    def write() -> None:
         print("computing gradient and Hessian at the best design ...", file=sys.stderr)
         content = fastest_swimmer.write_optimum(task, found, out, search.inputs())
         print("\n".join(fastest_swimmer.optimum_summary(content)))
         print(f"wrote best.toml, optimum.json and optimum.png to {out}", file=sys.stderr)
-    barrier("results are written")
+
+    write_in_one_process(write)
 
 
 def optimize_multimodal(
@@ -200,7 +223,6 @@ def optimize_multimodal(
     from slider_jax.io.files import output_folder
     from slider_jax.optimise.optimiser import make_optimiser
     from slider_jax.optimise.pareto_front import FrontEffort, search_front
-    from slider_jax.optimise.population import barrier, is_first
     from slider_jax.optimise.report import front_summary, write_front
     from slider_jax.optimise.two_tasks import TwoTasks
 
@@ -210,7 +232,7 @@ def optimize_multimodal(
     effort = FrontEffort(algorithm, search.population, search.generations, search.seed)
     modes = TwoTasks.of(experiment, search.tail_length, search.EI_tail, search.steps_per_stride)
     output_folder(out)
-    report = _reporter()
+    report, write_in_one_process = _reporter(), _writer(out, "multimodal.json")
 
     def on_generation(name: str, generation, seconds: float) -> None:
         whole = search.generations if name.endswith("_only") else effort.between[1]
@@ -220,9 +242,11 @@ def optimize_multimodal(
 
     with _resumable(out):
         found = search_front(modes, betas, effort, out, search.resume, on_generation)
-    if is_first():
+
+    def write() -> None:
         print("simulating the best designs on the experiment's mesh ...", file=sys.stderr)
         content = write_front(modes, found, effort._asdict(), out, search.inputs())
         print("\n".join(front_summary(content)))
         print(f"wrote multimodal.json, multimodal.png and experiments to {out}", file=sys.stderr)
-    barrier("results are written")
+
+    write_in_one_process(write)

@@ -37,7 +37,8 @@ def sweep(
     The command writes sweep.csv, sweep.json (settings and versions) and sweep.png to DIR. Each row
     of sweep.csv contains one value (or pair of values) of the fields, and the means over the steady
     strides. An interrupted sweep resumes when you repeat the command. A complete sweep with the
-    same settings is not repeated.
+    same settings is not repeated. If you start the same command several times, also on several
+    computers with a shared DIR, the processes share the points of the sweep.
 
     Args:
         experiment: experiment file (.toml).
@@ -106,6 +107,10 @@ def sweep(
         text = f"the finished part is in {out / 'partial'}; repeat the same command to resume"
         print(text, file=sys.stderr)
         raise
-    write_sweep(task, table, out, experiment)
-    shutil.rmtree(out / "partial")
+    except FileNotFoundError:
+        if not is_written(task, out):  # by another process, which then removed the chunks
+            raise
+    else:
+        write_sweep(task, table, out, experiment)
+    shutil.rmtree(out / "partial", ignore_errors=True)
     print(f"wrote {len(task.points)} points to {out / 'sweep.csv'}", file=sys.stderr)

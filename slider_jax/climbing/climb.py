@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +25,7 @@ from slider_jax.experiment.drive import ratios_of
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.prepare import half_period_steps
 from slider_jax.experiment.schema import Trial
+from slider_jax.programs import kept_once
 from slider_jax.swimming.free_swim import steady_settings
 from slider_jax.swimming.gait import CAP, LINK, is_driven, stride_frequency, to_climber
 from slider_jax.swimming.performance import names_with_units
@@ -73,12 +73,22 @@ class ClimbRun:
         return stride_frequency(self.trial)
 
 
-@eqx.filter_jit
+@kept_once
+def _speeds(phases, base: Model, frequency, link, cap, plan: ClimbPlan):
+    def speed(phase):
+        model = to_climber(base, frequency, phase, None, link, cap)
+        found, ok = climb_from_rest(model, frequency, plan)
+        return jnp.where(ok, found.speed, jnp.nan)
+
+    return jax.vmap(speed)(phases)
+
+
+@kept_once
 def _more(model: Model, frequency, carry: Carry, plan: ClimbPlan):
     return climb_on(model, frequency, carry, plan.strides, plan)
 
 
-@eqx.filter_jit
+@kept_once
 def _amounts(model: Model, frequency, series: ClimbSeries, plan: ClimbPlan):
     return climb_of(model, frequency, series, plan)
 
@@ -111,16 +121,10 @@ def speeds_by_phase(
     base: Model, frequency: float, link: float, cap: float, plan: ClimbPlan
 ) -> dict[float, float]:
     """Returns the speed [m/s] at each of `PHASES` pin phases; NaN if a time step fails."""
-
-    @jax.jit
-    @jax.vmap
-    def speeds(phase):
-        model = to_climber(base, frequency, phase, None, link, cap)
-        found, ok = climb_from_rest(model, frequency, plan)
-        return jnp.where(ok, found.speed, jnp.nan)
-
     phases = np.arange(PHASES) / PHASES
-    return dict(zip(phases.tolist(), np.asarray(speeds(phases)).tolist(), strict=True))
+    given = map(jnp.asarray, (frequency, link, cap))
+    speeds = np.asarray(_speeds(phases, base, *given, plan))
+    return dict(zip(phases.tolist(), speeds.tolist(), strict=True))
 
 
 def _rough(experiment: Experiment, plan: ClimbPlan, frequency: float) -> ClimbPlan:

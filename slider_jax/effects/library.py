@@ -1,15 +1,17 @@
 """The library of effects: a dictionary from names to classes. This module imports all effects.
 
-A model file may also contain terms of `DICTIONARY` and their `DETAILS`. These terms describe a
+A model file may also contain terms of `DICTIONARY` and their details. These terms describe a
 residual that no effect of the library explains. They are no physical causes, so they are not in the
-library.
+library. Few commands need them, and their classes take a third of a second to make. The first
+access to `DICTIONARY`, or to an unknown name in `KNOWN_EFFECTS`, makes them.
 """
 
 import hashlib
 import importlib
 import sys
 from collections import ChainMap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
 from pkgutil import walk_packages
@@ -18,7 +20,6 @@ from types import ModuleType
 from slider_jax import effects
 from slider_jax.effects.base import Effect
 from slider_jax.effects.check import checked_effects, defined_effects, is_complete
-from slider_jax.effects.dictionary.details import DETAILS, REAR_READINGS
 from slider_jax.errors import InputError
 from slider_jax.io.files import LOADED_FILES
 
@@ -26,27 +27,67 @@ ENTRY_POINTS = "slider_jax.effects"
 """Group of the entry points with which an installed package names its modules of effects."""
 
 
-def _built_in() -> dict[str, type[Effect]]:
+Kinds = dict[str, type[Effect]]
+
+
+class LaterEffects(Mapping[str, type[Effect]]):
+    """Effects by name, which the function `make` makes at the first access."""
+
+    def __init__(self, make: Callable[[], Kinds]):
+        self._make = make
+
+    @cached_property
+    def _made(self) -> Kinds:
+        return self._make()
+
+    def __getitem__(self, name: str) -> type[Effect]:
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+
+OF_DICTIONARY = f"{effects.__name__}.dictionary"
+
+
+def _built_in(of_dictionary: bool) -> Kinds:
     """Returns the effects of this package by name, including effects of every model."""
-    found = [m.name for m in walk_packages(effects.__path__, f"{effects.__name__}.")]
-    modules = [importlib.import_module(name) for name in found if name != __name__]
+    names = [m.name for m in walk_packages(effects.__path__, f"{effects.__name__}.")]
+    names = [x for x in names if x != __name__ and x.startswith(OF_DICTIONARY) == of_dictionary]
+    modules = [importlib.import_module(name) for name in names]
     kinds = [kind for module in modules for kind in defined_effects(module) if is_complete(kind)]
     kinds.sort(key=lambda kind: (kind.order, kind.name()))
     return {kind.name(): kind for kind in kinds}
 
 
-_BUILT_IN = _built_in()
-DICTIONARY: dict[str, type[Effect]] = {
-    k: x for k, x in _BUILT_IN.items() if x.term_curve is not None
-} | REAR_READINGS
+def _terms() -> Kinds:
+    from slider_jax.effects.dictionary.details import REAR_READINGS
+
+    kinds = _built_in(of_dictionary=True)
+    return {k: x for k, x in kinds.items() if x.term_curve is not None} | REAR_READINGS
+
+
+def _details() -> Kinds:
+    from slider_jax.effects.dictionary.details import DETAILS
+
+    return DETAILS
+
+
+_PHYSICAL = _built_in(of_dictionary=False)
+DICTIONARY = LaterEffects(_terms)
 """The terms from which `slider close-loop` learns, by name."""
-LIBRARY: dict[str, type[Effect]] = {
-    k: x for k, x in _BUILT_IN.items() if not x.in_every_model and x.term_curve is None
-}
+LIBRARY: Kinds = {k: x for k, x in _PHYSICAL.items() if not x.in_every_model}
 """The physical effects by name, including the effects of the user's files."""
-KNOWN_EFFECTS = ChainMap(LIBRARY, DICTIONARY, DETAILS)
+KNOWN_EFFECTS: Mapping[str, type[Effect]] = ChainMap(
+    LIBRARY,
+    DICTIONARY,  # type: ignore[arg-type]
+    LaterEffects(_details),  # type: ignore[arg-type]
+)
 """All effects that a model file may contain, by name."""
-_HOMES = dict.fromkeys(_BUILT_IN, "slider_jax")
+_HOMES = dict.fromkeys(_PHYSICAL, "slider_jax")
 """The file or package that defines each effect, for messages."""
 
 
@@ -120,7 +161,7 @@ def _sources(module: ModuleType) -> Sequence[Path]:
 
 
 def _add(module: ModuleType, where: str, sources: dict[Path, bytes]) -> list[str]:
-    taken = {name: _HOMES.get(name, "the library") for name in (*KNOWN_EFFECTS, *_BUILT_IN)}
+    taken = {name: _HOMES.get(name, "slider_jax") for name in (*KNOWN_EFFECTS, *_PHYSICAL)}
     kinds = checked_effects(module, where, taken)
     LIBRARY.update({kind.name(): kind for kind in kinds})
     _HOMES.update({kind.name(): where for kind in kinds})

@@ -116,6 +116,21 @@ def write_bytes(path: Path | str, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
+def write_first(path: Path, content: bytes) -> bool:
+    """Writes `content` to `path` atomically, or returns False if the file exists."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".tmp-")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.chmod(temporary, 0o644)
+        os.link(temporary, path)
+    except FileExistsError:
+        return False
+    finally:
+        os.unlink(temporary)
+    return True
+
+
 def write_with_digest(path: Path | str, content: bytes) -> None:
     """Writes `content` to `path` atomically, after its SHA-256 digest."""
     write_bytes(path, hashlib.sha256(content).digest() + content)

@@ -31,7 +31,7 @@ from slider_jax.optimise.loop import (
     settings_of,
 )
 from slider_jax.optimise.optimiser import Optimiser
-from slider_jax.optimise.population import Evaluation, is_first
+from slider_jax.optimise.population import Evaluation, is_first, shared_by_folder
 from slider_jax.swimming.gait import Gait, to_swimmer
 from slider_jax.swimming.paper_optimum import MEASURED_GAIT, PAPER_GAIT, PUBLISHED
 from slider_jax.swimming.steady_state import SteadySettings, steady_speed
@@ -123,13 +123,16 @@ def search_fastest(
         raise InputError(
             f"{folder / PLAN}: this folder holds a multimodal optimisation; give another folder"
         )
-    speeds = Evaluation(speed_of(*task))
-    speeds_and_gradients = Evaluation(slope_of(*task), chunk=ASCENDING)
+    depends = task.settings()
+    speeds = shared_by_folder(Evaluation(speed_of(*task)), folder, depends)
+    speeds_and_gradients = shared_by_folder(
+        Evaluation(slope_of(*task), chunk=ASCENDING), folder, depends | {"gradients": True}
+    )
 
     def evaluate(points: np.ndarray, gradients: bool) -> tuple[np.ndarray, np.ndarray | None]:
         return speeds_and_gradients(points) if gradients else (speeds(points), None)
 
-    settings = settings_of(optimiser, population, seed, task.settings())
+    settings = settings_of(optimiser, population, seed, depends)
     found = run_optimiser(
         optimiser, evaluate, generations, seed, settings, folder, resume, is_first(), on_generation
     )

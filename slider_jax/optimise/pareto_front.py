@@ -78,7 +78,7 @@ class FrontSearches:
     on_generation: Callable[[str, Generation, float], None]
 
     def __post_init__(self) -> None:
-        self.both, self.evaluations = TaskEfficiencies(self.modes), dict[str, int]()
+        self.both, self.evaluations = TaskEfficiencies(self.modes, self.folder), dict[str, int]()
 
     def optimise(
         self,

@@ -4,10 +4,13 @@ The population is divided into chunks of equal size. This size does not depend o
 devices, so the score of an individual is the same to the last bit for any number of devices.
 """
 
+import hashlib
+import io
 import itertools
-import os
+import json
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -17,11 +20,14 @@ from jax.experimental import multihost_utils
 from jax.sharding import Mesh, PartitionSpec
 
 from slider_jax.errors import InputError
+from slider_jax.io.sharing import SharedFolder
 
 CHUNK = 8
 """Number of individuals that a device evaluates together. Their data fit a core's cache."""
 PATIENCE = 3600
 """Longest time [s] for which a process waits for another process that still runs."""
+SCORES = "scores"
+"""Name of the folder with the scores that processes share."""
 _meetings = itertools.count()
 
 
@@ -34,7 +40,8 @@ class Evaluation:
 
     def __init__(self, objective: Callable[[jax.Array], Any], chunk: int = CHUNK):
         devices = np.array(jax.devices())
-        self._rows = len(devices) * chunk
+        self.rows = len(devices) * chunk
+        """Number of individuals that one call of the compiled program evaluates."""
         mesh = Mesh(devices, ("devices",))
         rows = PartitionSpec("devices")
         self._compiled = jax.jit(
@@ -47,8 +54,8 @@ class Evaluation:
     def __call__(self, population: np.ndarray) -> Any:
         """Returns scores (n, ...) of a population (n, d). Another n needs no recompilation."""
         n = len(population)
-        filled = population[np.minimum(np.arange(-(-n // self._rows) * self._rows), n - 1)]
-        parts = filled.reshape(-1, self._rows, filled.shape[-1])
+        filled = population[np.minimum(np.arange(-(-n // self.rows) * self.rows), n - 1)]
+        parts = filled.reshape(-1, self.rows, filled.shape[-1])
         found = [self._compiled(self._given(part)) for part in parts]  # starts all computations
         scores = jax.tree.map(lambda *x: np.stack([_local(part) for part in x]), *found)
         if jax.process_count() > 1:
@@ -62,6 +69,51 @@ class Evaluation:
         return jax.make_array_from_callback(part.shape, self._sharding, lambda i: part[i])
 
 
+class SharedEvaluation:
+    """An `Evaluation` whose parts are divided among processes that share `folder`.
+
+    A result file contains the scores of as many individuals as one call of the program evaluates.
+    The files of a population are in a folder whose name is a digest of the population and of the
+    `settings` on which the scores depend. A process therefore never reads scores of another
+    optimisation, and a resumed optimisation reads the scores that it has. The processes need not be
+    in the same generation.
+    """
+
+    def __init__(self, evaluation: Evaluation, folder: Path, settings: Any):
+        self._evaluation, self._folder = evaluation, folder
+        self._settings = json.dumps(settings, sort_keys=True)
+
+    def __call__(self, population: np.ndarray) -> Any:
+        """Returns scores (n, ...) of a population (n, d)."""
+        rows = self._evaluation.rows
+        parts = {f"part_{i:06d}": population[i : i + rows] for i in range(0, len(population), rows)}
+        content = f"{rows} {self._settings}".encode() + np.ascontiguousarray(population).tobytes()
+        folder = self._folder / hashlib.sha256(content).hexdigest()[:32]
+
+        def scores(name: str) -> bytes:
+            buffer = io.BytesIO()
+            np.savez(buffer, *jax.tree.leaves(self._evaluation(parts[name])))
+            return buffer.getvalue()
+
+        with SharedFolder(folder) as shared:
+            shared.compute(parts, scores)
+        found = [np.load(io.BytesIO((folder / name).read_bytes())) for name in parts]
+        values = [np.concatenate([x[key] for x in found]) for key in found[0].files]
+        return values[0] if len(values) == 1 else tuple(values)
+
+
+def shared_by_folder(
+    evaluation: Evaluation, folder: Path | None, settings: Any
+) -> Evaluation | SharedEvaluation:
+    """Returns the evaluation; if `folder` is not None, all processes with this folder share it.
+
+    Processes that JAX connects exchange their scores themselves.
+    """
+    if folder is None or jax.process_count() > 1:
+        return evaluation
+    return SharedEvaluation(evaluation, folder / SCORES, settings)
+
+
 def _local(part: jax.Array) -> np.ndarray:
     """Returns the rows of `part` that this process computed."""
     shards = sorted(part.addressable_shards, key=lambda x: x.index[0].start or 0)
@@ -72,18 +124,15 @@ def start_devices(cores: int, coordinator: str = "", processes: int = 1, process
     """Configures JAX with one device for each of `cores` CPU cores, and with at least two devices.
 
     Call this function before any JAX computation; later calls have no effect. `coordinator` is
-    the host:port of process 0 if there are several processes. Omit `coordinator` under srun, where
-    the processes find each other. Raises `InputError` if processes have different numbers of cores.
+    the host:port of process 0 if JAX connects several processes. Raises `InputError` if connected
+    processes have different numbers of cores.
     """
-    # The variable is the number of processes of a job step. In a batch script, it is at most 1.
-    slurm = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1
     with suppress(RuntimeError):
         # For one device, XLA compiles differently, and the last bit of results would differ.
         jax.config.update("jax_num_cpu_devices", max(2, cores))
-    if coordinator or slurm:
+    if coordinator:
         jax.config.update("jax_cpu_collectives_implementation", "gloo")
-        found = (coordinator, processes, process) if coordinator else ()
-        jax.distributed.initialize(*found)
+        jax.distributed.initialize(coordinator, processes, process)
         counts = np.bincount([device.process_index for device in jax.devices()])
         if len(set(counts)) > 1:
             raise InputError(

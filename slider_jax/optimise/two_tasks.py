@@ -8,6 +8,7 @@ index "only" marks the largest efficiency for one task alone. A design has two d
 At beta = 0 or 1, one task has weight 0; its drive is optimised for the tail of the other task.
 """
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model
 from slider_jax.optimise.design_space import models
 from slider_jax.optimise.fastest_swimmer import Task
-from slider_jax.optimise.population import Evaluation
+from slider_jax.optimise.population import Evaluation, shared_by_folder
 from slider_jax.swimming.gait import CAP, LINK, Gait, to_climber
 from slider_jax.swimming.performance import steady_stride
 from slider_jax.swimming.steady_state import SteadySettings
@@ -132,14 +133,21 @@ def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
 
 
 class TaskEfficiencies:
-    """Computes efficiencies of designs in the unit box, on all devices."""
+    """Computes efficiencies of designs in the unit box, on all devices.
 
-    def __init__(self, modes: TwoTasks):
+    Processes with the same `folder` share the designs.
+    """
+
+    def __init__(self, modes: TwoTasks, folder: Path | None = None):
         self.modes = modes
         swim = swim_efficiency(modes.task.experiment, modes.task.search)
         climb = climb_efficiency(modes.task.experiment, modes.plan)
-        self._swim = Evaluation(lambda x: swim(modes.values(x, SWIM + TAIL)))
-        self._climb = Evaluation(lambda x: climb(modes.values(x, CLIMB + TAIL)))
+
+        def shared(objective, part: tuple[int, ...]):
+            evaluation = Evaluation(lambda x: objective(modes.values(x, part)))
+            return shared_by_folder(evaluation, folder, modes.settings() | {"part": part})
+
+        self._swim, self._climb = shared(swim, SWIM + TAIL), shared(climb, CLIMB + TAIL)
 
     def __call__(self, designs: np.ndarray, swims: bool, climbs: bool) -> np.ndarray:
         """Returns E_swim and E_climb (n, 2) of designs (n, 11); NaN if not requested or failed."""

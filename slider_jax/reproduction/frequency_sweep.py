@@ -10,13 +10,7 @@ import numpy as np
 
 from slider_jax import paper
 from slider_jax.batch.chunks import chunks_of, run_in_threads, stack, take
-from slider_jax.batch.strides import (
-    BatchRobot,
-    Plan,
-    compile_programs,
-    run_strides,
-    steady_quantities,
-)
+from slider_jax.batch.strides import BatchRobot, Plan, run_strides, steady_quantities
 from slider_jax.beam.parameters import Numerics, Robot, uniform_robot
 from slider_jax.channels import SLIDER_CHANNELS
 
@@ -79,10 +73,9 @@ def run_frequency_sweep(
     )
     chunks = chunks_of(len(frequencies))
     on_begin(chunks.total * settings.strides)
-    programs = compile_programs(plan, take(robots, chunks.indices(0)))
 
     def work(chunk, stopped):
-        runs = run_strides(plan, programs, take(robots, chunks.indices(chunk)), on_stride, stopped)
+        runs = run_strides(plan, take(robots, chunks.indices(chunk)), on_stride, stopped)
         return {name: values[: chunks.distinct(chunk)] for name, values in runs.items()}
 
     done = dict(run_in_threads(work, list(range(chunks.total)), chunks.workers))

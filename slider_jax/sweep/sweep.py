@@ -1,8 +1,11 @@
-"""Simulates a trial for many values of one or two fields; an interrupted sweep resumes."""
+"""Simulates a trial for many values of one or two fields; an interrupted sweep resumes.
+
+Several processes that run the same sweep in the same folder share its chunks.
+"""
 
 import hashlib
 import json
-import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,20 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax.batch.chunks import available_cores, chunks_of, run_in_threads, stack, take
-from slider_jax.batch.strides import (
-    POSES,
-    BatchRobot,
-    Plan,
-    compile_programs,
-    run_strides,
-    steady_quantities,
-)
+from slider_jax.batch.strides import POSES, BatchRobot, Plan, run_strides, steady_quantities
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
-from slider_jax.io.files import provenance, write_json
+from slider_jax.io.files import json_text, provenance, write_first
+from slider_jax.io.sharing import PAUSE, SharedFolder
 from slider_jax.io.toml import field_at, quantity_of
 from slider_jax.swimming.gait import to_swimmer
-from slider_jax.swimming.performance import compile_swim, performance_table
+from slider_jax.swimming.performance import performance_table, swim_performance
 
 LARGEST_CHUNK = 8
 
@@ -215,37 +212,41 @@ def run_sweep(
 ) -> dict[str, np.ndarray]:
     """Runs a sweep and returns its table, with one row for each point.
 
-    Finished chunks are files in `folder`/partial, so an interrupted sweep resumes. `on_begin` gets
-    the total and the completed number of strides of all chunks. `on_stride` is called after each
-    stride of a chunk. Raises `InputError` if `partial` contains other settings.
+    Finished chunks are files in `folder`/partial, so an interrupted sweep resumes. Chunks that
+    another process computes at the same time are not computed here. `on_begin` gets the total and
+    the completed number of strides of all chunks. `on_stride` is called after each stride of a
+    chunk. Raises `InputError` if `partial` contains other settings.
     """
     groups, partial = groups_of(sweep), folder / "partial"
     chunks = _chunks(groups, _take_up(sweep, partial), partial)
     remaining = [i for i, chunk in enumerate(chunks) if not chunk.file.exists()]
     strides = 1 if sweep.swim else sweep.strides
     on_begin(len(chunks) * strides, (len(chunks) - len(remaining)) * strides)
-    compiled: dict[int, Any] = {}
-    locks = [threading.Lock() for _ in groups]
 
     def work(number, stopped):
         chunk = chunks[number]
+        if not shared.take(chunk.file.name):
+            return False
         plan, members, _ = groups[chunk.group]
         batch = take(members, chunk.members)
-        with locks[chunk.group]:
-            if chunk.group not in compiled:
-                make = compile_swim if sweep.swim else compile_programs
-                compiled[chunk.group] = make(plan, batch)
         if sweep.swim:
-            rows = performance_table(*compiled[chunk.group](batch))
+            rows = performance_table(*swim_performance(plan, batch))
             on_stride()
         else:
-            runs = run_strides(plan, compiled[chunk.group], batch, on_stride, stopped)
+            runs = run_strides(plan, batch, on_stride, stopped)
             rows = steady_quantities(plan, batch, runs, sweep.transient)
-        write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
+        found = {name: x[: len(chunk.points)] for name, x in rows.items()}
+        shared.finish(chunk.file.name, json_text(found).encode())
+        return True
 
-    for _ in run_in_threads(work, remaining, min(available_cores(), max(1, len(remaining)))):
-        pass
-    return _gathered(sweep, groups, chunks)
+    with SharedFolder(partial) as shared:
+        while remaining:
+            workers = min(available_cores(), len(remaining))
+            mine = [done for _, done in run_in_threads(work, remaining, workers)]
+            remaining = [i for i in remaining if not chunks[i].file.exists()]
+            if remaining and not any(mine):
+                time.sleep(PAUSE)
+        return _gathered(sweep, groups, chunks)
 
 
 def _gathered(sweep: Sweep, groups: list[Group], chunks: list[Chunk]) -> dict[str, np.ndarray]:
@@ -275,5 +276,7 @@ def _take_up(sweep: Sweep, partial: Path) -> int:
         return int(found["chunk"])
     size = chunks_of(len(sweep.points), LARGEST_CHUNK, available_cores()).size
     partial.mkdir(exist_ok=True)
-    write_json(record, {"sha256": digest(settings), "chunk": size, "settings": settings})
-    return size
+    content = {"sha256": digest(settings), "chunk": size, "settings": settings}
+    if write_first(record, json_text(content).encode()):
+        return size
+    return _take_up(sweep, partial)  # another process was first

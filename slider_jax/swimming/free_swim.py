@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from math import ceil
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +15,7 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.prepare import half_period_steps
 from slider_jax.experiment.schema import Trial
+from slider_jax.programs import kept_once
 from slider_jax.swimming.gait import stride_frequency, to_swimmer
 from slider_jax.swimming.performance import (
     Performance,
@@ -69,15 +69,15 @@ class Swim:
         return float(self.performance.speed) / self.from_rest[-1] - 1.0
 
 
-_steadily = eqx.filter_jit(steady_stride)
+_steadily = kept_once(steady_stride)
 
 
-@eqx.filter_jit
+@kept_once
 def _some_strides(model: Model, frequency, carry: Carry, search: SteadySettings):
     return simulate_strides(model, frequency, carry, AT_ONCE, search)
 
 
-@eqx.filter_jit
+@kept_once
 def _seen(model: Model, frequency, carry: Carry, search: SteadySettings):
     stride = next_stride(model, frequency, carry, search)
     return stride, performance(model, frequency, stride, search)

@@ -1,6 +1,5 @@
 """Computes the performance of a swimmer over a stride: the quantities of the paper's table."""
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -17,6 +16,7 @@ from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import continued
 from slider_jax.dynamics.step import Carry, Snapshot
 from slider_jax.effects import total_force
+from slider_jax.programs import kept_once
 from slider_jax.swimming.steady_state import (
     SteadySettings,
     find_steady,
@@ -173,15 +173,14 @@ def performance_columns(found: Performance) -> dict[str, Scalar]:
     return names_with_units(vars(found), UNITS)
 
 
-def compile_swim(
-    plan: Plan, chunk: BatchRobot
-) -> Callable[[BatchRobot], tuple[Performance, Array]]:
-    """Returns a compiled function that maps robots, stacked like `chunk`, to (performance, ok)."""
+@kept_once
+def swim_performance(plan: Plan, chunk: BatchRobot) -> tuple[Performance, Array]:
+    """Returns (performance, ok) of the stacked robots of a chunk."""
     search = SteadySettings(
         steps_per_stride=plan.steps_per_stride, numerics=plan.numerics, scheme=plan.scheme
     )
     one = jax.vmap(lambda robot: steady_stride(robot.model, robot.frequency, search)[1:])
-    return jax.jit(one).lower(chunk).compile()
+    return one(chunk)
 
 
 def performance_table(found: Performance, ok: Array) -> dict[str, np.ndarray]:

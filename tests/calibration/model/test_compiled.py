@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from calibration.model import compiled
 from calibration.model.compiled import MOST_VALUES, by_directions, slices
 
 
@@ -28,12 +27,3 @@ def test_slices_of_long_rows_have_whole_multiples_of_rows():
     assert slices(20, MOST_VALUES // 9, 8) == [slice(0, 8), slice(8, 16), slice(16, 20)]
     assert slices(2, 2 * MOST_VALUES) == [slice(0, 1), slice(1, 2)]
     assert slices(0, 5) == []
-
-
-def test_freed_memory_is_returned_once_after_each_new_program(monkeypatch):
-    calls = []
-    monkeypatch.setattr(compiled, "return_freed_memory", lambda: calls.append(1))
-    double = compiled.compiled_once(lambda x: 2.0 * x)
-    for size in (3, 3, 4, 3):
-        np.testing.assert_array_equal(double(np.ones(size)), 2.0 * np.ones(size))
-    assert len(calls) == 2

@@ -8,8 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.dynamics import block_kernel
 from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.observables import chamber_power
+from tests.support.helpers import SMALL, swimmer
 
 TWIN, KERNEL = BeamSolver(compiled=False), BeamSolver(compiled=True)
 
@@ -165,3 +169,37 @@ def test_the_compiled_solver_is_refused_for_float32():
     operator, rhs = jax.tree.map(lambda x: x[0].astype(jnp.float32), operators(3, 4, 1))
     with pytest.raises(ValueError, match="given float32"):
         KERNEL.init(operator, {})
+
+
+@pytest.mark.parametrize("robots", [1, 9])
+def test_a_simulation_equals_that_with_the_twin(monkeypatch, robots):
+    """Readings and power of two strides, and the forward derivatives with respect to C_d."""
+    times = TimeGrid.per_stride(4.8, 40, 2)
+
+    def simulated(C_d):
+        def readings(x):
+            return SLIDER_CHANNELS.observe(x) | {"power": jnp.sum(chamber_power(x))}
+
+        def run(C_d):
+            out = rollout(swimmer(C_d=C_d), times, readings, SMALL)
+            return out.saved, out.ok
+
+        return jax.jvp(run, (C_d,), (jnp.ones_like(C_d),), has_aux=True)
+
+    C_d = jnp.linspace(2.0, 4.0, robots)
+    calls = []
+
+    def twin_is_used():
+        calls.append(1)
+        return False
+
+    *kernel, ok = jax.jit(jax.vmap(lambda x: simulated(x)))(C_d)
+    monkeypatch.setattr(block_kernel, "is_used", twin_is_used)
+    jax.clear_caches()  # else JAX reuses the traced solver
+    *twin, also_ok = jax.jit(jax.vmap(lambda x: simulated(x)))(C_d)
+    jax.clear_caches()
+    assert calls and ok.all() and also_ok.all()
+    for found, exact in zip(kernel, twin, strict=True):
+        for name, series in exact.items():
+            error = jnp.max(jnp.abs(found[name] - series))
+            assert error <= 1e-10 * jnp.max(jnp.abs(series)), name

@@ -53,7 +53,7 @@ class Hills:
 
     tails = (0.2, 0.7)
 
-    def __init__(self, modes):
+    def __init__(self, modes, folder):
         pass
 
     def __call__(self, designs, swims, climbs):

@@ -1,5 +1,6 @@
 """A population on one device, on two, and in two processes: the same scores to the last bit."""
 
+import io
 import os
 import socket
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 
 from slider_jax.beam.parameters import Numerics
 from slider_jax.experiment.load import assemble
+from slider_jax.io.files import read_with_digest
 from slider_jax.optimise.design_space import gait_bounds, models
 from slider_jax.optimise.population import CHUNK, Evaluation
 from slider_jax.swimming.paper_optimum import swimmer_content
@@ -116,6 +118,59 @@ def test_a_swimmer_is_as_fast_on_one_core_as_on_two_and_in_two_processes(tmp_pat
     assert np.isfinite(one).sum() > 0.5 * len(MEMBERS)
     for other in others:
         np.testing.assert_array_equal(one, other)
+
+
+SHARING = """
+import json, sys
+from pathlib import Path
+from slider_jax.precision import enable_float64
+from slider_jax.optimise.population import Evaluation, shared_by_folder, start_devices
+enable_float64()
+start_devices(1)
+from slider_jax.optimise.loop import run_optimiser
+from slider_jax.optimise.optimiser import genetic
+from tests.slider_jax.optimise.test_population import waves
+folder, log = map(Path, sys.argv[1:])
+
+class Logged(Evaluation):
+    def __call__(self, population):
+        with log.open("a") as file:
+            file.write(population.tobytes().hex() + "\\n")
+        return super().__call__(population)
+
+evaluate = shared_by_folder(Logged(waves), folder, {"objective": "waves"})
+run_optimiser(genetic(72, 6), lambda x, _: (evaluate(x), None), 4, 0, {}, folder, True)
+"""
+
+
+def test_two_processes_share_the_generations_of_a_search(tmp_path: Path):
+    """As two tasks of a SLURM job: no individual twice, and the same bits as one process."""
+
+    def tasks(name, count):
+        (tmp_path / name).mkdir()
+        logs = [tmp_path / f"{name}_{i}" for i in range(count)]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "SLURM_NTASKS": str(count)}
+        runs = [
+            subprocess.Popen(
+                [sys.executable, "-c", SHARING, str(tmp_path / name), str(log)],
+                env=environment | {"SLURM_PROCID": str(i), "SLURM_STEP_NUM_TASKS": str(count)},
+                cwd=ROOT,
+            )
+            for i, log in enumerate(logs)
+        ]
+        assert [run.wait(timeout=200) for run in runs] == [0] * count
+        return [x for log in logs if log.exists() for x in log.read_text().splitlines()]
+
+    one, two = tasks("one", 1), tasks("two", 2)
+    assert len(two) == len(set(two)) == 4 * 5  # parts of 16 individuals in four generations
+    assert sorted(one) == sorted(two)
+    alone, shared = (np.load(_content(tmp_path / x / "checkpoint.npz")) for x in ("one", "two"))
+    for key in alone.files:
+        np.testing.assert_array_equal(alone[key], shared[key])
+
+
+def _content(path: Path):
+    return io.BytesIO(read_with_digest(path))
 
 
 @pytest.mark.slow

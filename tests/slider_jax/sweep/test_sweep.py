@@ -2,6 +2,9 @@
 
 import csv
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -13,7 +16,9 @@ from slider_jax.io.files import LOADED_FILES
 from slider_jax.observables import stride_means, thrust
 from slider_jax.paper import force_coefficients
 from slider_jax.sweep import sweep as sweeping
+from slider_jax.sweep.report import FILES
 from slider_jax.sweep.sweep import Axis, Sweep, groups_of, run_sweep
+from tests.support.data import ROOT
 from tests.support.helpers import march
 
 EXPERIMENT = """
@@ -176,7 +181,6 @@ def test_the_ramp_follows_a_swept_frequency(experiment):
 def without_physics(monkeypatch, one_core_chunks_of_two):
     """Replaces the simulation of a sweep: every thrust is 1 N."""
     names = ("thrust_mean_N", "recoil_rms_N", "tip_half_range_m", "chamber_power_W")
-    monkeypatch.setattr(sweeping, "compile_programs", lambda *args: None)
     monkeypatch.setattr(sweeping, "run_strides", lambda *args: None)
     monkeypatch.setattr(
         sweeping, "steady_quantities", lambda *args: {name: np.ones(2) for name in names}
@@ -288,3 +292,49 @@ def test_columns_carry_the_fields_units():
     }
     for field, column in columns.items():
         assert Axis(field, (0.0, 1.0)).column == column
+
+
+SHARED = """
+import sys
+from pathlib import Path
+from slider_jax.cli.main import main
+from slider_jax.sweep import sweep
+sweep.available_cores, sweep.LARGEST_CHUNK = lambda: 1, 2
+log, *words = sys.argv[1:]
+simulated = sweep.run_strides
+
+def run_strides(plan, batch, *others):
+    with open(log, "a") as file:
+        file.write(str(batch.frequency.tolist()) + "\\n")
+    return simulated(plan, batch, *others)
+
+sweep.run_strides = run_strides
+sys.exit(main(words))
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_share_a_sweep(experiment, tmp_path):
+    """As two tasks of a SLURM job: no chunk twice, and the same bytes as one process."""
+    field = ["--field", "trials.0.frequency", "--from", "2", "--to", "5", "--count", "12"]
+
+    def tasks(name, count):
+        words = ["sweep", str(experiment), *field, "--out", str(tmp_path / name), *SHORT]
+        logs = [tmp_path / f"{name}_{i}" for i in range(count)]
+        given = {**os.environ, "PYTHONPATH": str(ROOT), "SLURM_NTASKS": str(count)}
+        runs = [
+            subprocess.Popen(
+                [sys.executable, "-c", SHARED, str(log), *words],
+                env=given | {"SLURM_PROCID": str(i)},
+                cwd=ROOT,
+            )
+            for i, log in enumerate(logs)
+        ]
+        assert [run.wait(timeout=500) for run in runs] == [0] * count
+        return [x for log in logs if log.exists() for x in log.read_text().splitlines()]
+
+    one, two = tasks("one", 1), tasks("two", 2)
+    assert len(two) == len(set(two)) == 6 and sorted(one) == sorted(two)
+    for file in ("sweep.csv", "sweep.json"):
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
+    assert sorted(x.name for x in (tmp_path / "two").iterdir()) == sorted(FILES)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -206,3 +207,45 @@ def test_a_sweep_of_swimmers_gives_what_each_swims_alone(swum, tmp_path):
         assert table[name][0] != pytest.approx(table[name][1], rel=0.02)
     assert json.loads((tmp_path / "out" / "sweep.json").read_text())["settings"]["swim"]
     assert (tmp_path / "out" / "sweep.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_two_tasks_of_a_slurm_job_find_what_one_finds(tmp_path):
+    """The job script with a `srun` that starts two tasks here; one of them is killed."""
+    file, programs = tmp_path / "tank.toml", tmp_path / "bin"
+    file.write_text(to_toml(coarse()))
+    programs.mkdir()
+    srun = """#!/bin/bash
+while [[ "$1" == --* ]]; do shift; done
+for task in $(seq 0 $((SLURM_NTASKS - 1))); do
+    SLURM_PROCID=$task "$@" &
+    echo $! >> "$TASKS"
+done
+wait
+"""
+    slider = f'#!/bin/bash\nexec {sys.executable} -m slider_jax.cli.main "$@"\n'
+    for name, text in (("srun", srun), ("slider", slider)):
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+    few = ["--population", "48", "--generations", "3", "--steps-per-stride", "48"]
+    few += ["--algorithm", "cma-es"]
+
+    def job(name, tasks):
+        given = {"SLURM_NTASKS": str(tasks), "SLURM_CPUS_PER_TASK": "1", "PYTHONPATH": str(ROOT)}
+        given |= {"PATH": f"{programs}:{os.environ['PATH']}", "TASKS": str(tmp_path / "tasks")}
+        script = ["bash", str(ROOT / "scripts" / "optimize.slurm"), str(tmp_path / name), str(file)]
+        return subprocess.Popen([*script, *few], env={**os.environ, **given}, cwd=ROOT)
+
+    assert job("one", 1).wait() == 0
+    (tmp_path / "tasks").unlink()
+    run = job("two", 2)
+    while not (tmp_path / "two" / "checkpoint.npz").exists():
+        time.sleep(0.05)
+        assert run.poll() is None
+    os.kill(int((tmp_path / "tasks").read_text().split()[0]), signal.SIGKILL)
+    assert run.wait() == 0
+    one, two = (json.loads((tmp_path / x / "optimum.json").read_text()) for x in ("one", "two"))
+    for name in ("history", "gait", "speed_m_per_s", "last_population", "sensitivity"):
+        assert one[name] == two[name], name
+    files = [x.name for x in (tmp_path / "two" / "scores").glob("*/*")]
+    assert len(files) == len(list((tmp_path / "one" / "scores").glob("*/*"))) == 3 * 3

@@ -1,10 +1,11 @@
-"""Keeps compiled programs in files, so that later processes neither trace nor compile them.
+"""Compiles a function once for all threads, and keeps compiled programs in files.
 
-JAX's own cache of compiled programs saves the compilation. JAX must still trace a program to find
-it there, and tracing the programs of `slider close-loop` takes longer than loading them. The name
-of a file here is a digest of the function, the structure of its arguments, the source files of both
-packages, the versions of the libraries, the settings of JAX and XLA, and the processor. Programs
-are not kept if effects of other files are loaded, because these files may import further files.
+A later process loads a kept program and neither traces nor compiles it. JAX's own cache of compiled
+programs saves only the compilation: JAX must still trace a program to find it there, and tracing a
+simulation takes longer than loading it. The name of a file here is a digest of the function, the
+structure of its arguments, the source files of the packages, the versions of the libraries, the
+settings of JAX and XLA, and the processor. Programs are not kept if effects of other files are
+loaded, because these files may import further files.
 """
 
 import ctypes
@@ -16,17 +17,17 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import equinox as eqx
 import jax
 
-import calibration
-import slider_jax
 from slider_jax.dynamics import block_kernel
 from slider_jax.io.files import (
     effect_files,
@@ -36,6 +37,7 @@ from slider_jax.io.files import (
     write_with_digest,
 )
 
+PACKAGES = ("slider_jax", "calibration")
 FOLDER = "slider_jax_programs"
 """Name of the folder in the folder of JAX's cache."""
 UNUSED_DAYS = 14.0
@@ -44,6 +46,7 @@ _VERSION = re.compile(r"[0-9a-f]{16}")
 _FUNCTION = re.compile(r"(<function .*?) at 0x[0-9a-f]+>")
 _folders: list[Path] = []
 _hits = threading.local()
+_complete: list[bool] = []
 
 
 @contextmanager
@@ -51,7 +54,7 @@ def kept_programs() -> Iterator[None]:
     """Keeps compiled programs beside JAX's cache of compiled programs, if that cache is in use."""
     cache_folder = jax.config.values["jax_compilation_cache_dir"]
     in_use = cache_folder and jax.config.values["jax_enable_compilation_cache"]
-    if not in_use or "://" in cache_folder or effect_files():
+    if not in_use or "://" in cache_folder:
         yield
         return
     _count_cache_hits()
@@ -69,6 +72,40 @@ def kept_programs() -> Iterator[None]:
         yield
     finally:
         _folders.pop()
+
+
+def compiled_programs() -> set[Path]:
+    """Returns the files of all compiled programs in the cache folder of JAX."""
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    if not folder or "://" in folder:
+        return set()
+    return {*Path(folder).glob("*-cache"), *(Path(folder) / FOLDER).glob("*/*")}
+
+
+@contextmanager
+def all_programs_kept() -> Iterator[None]:
+    """In a context of `kept_programs`, compiles programs again that only JAX's cache contains.
+
+    XLA cannot store a program that it has loaded. No other thread may compile in this context.
+    """
+    _complete.append(True)
+    try:
+        yield
+    finally:
+        _complete.pop()
+
+
+def _compiled_anew(lowered: Any) -> Any:
+    """Compiles a program without JAX's cache."""
+    from jax.experimental.compilation_cache.compilation_cache import reset_cache
+
+    reset_cache()  # else JAX ignores a change of the option
+    jax.config.update("jax_enable_compilation_cache", False)
+    try:
+        return lowered.compile()
+    finally:
+        jax.config.update("jax_enable_compilation_cache", True)
+        reset_cache()
 
 
 @cache
@@ -103,10 +140,10 @@ def _version() -> str:
 
 
 def source_digest() -> str:
-    """Returns the SHA-256 digest of the source files of both packages."""
-    folders = [Path(str(package.__file__)).parent for package in (slider_jax, calibration)]
+    """Returns the SHA-256 digest of the source files of the packages that simulate."""
+    root = Path(__file__).parents[1]  # all packages are installed in the same folder
     digest = hashlib.sha256()
-    for path in (x for folder in folders for x in sorted(folder.rglob("*"))):
+    for path in (x for name in PACKAGES for x in sorted((root / name).rglob("*"))):
         if path.suffix in (".py", ".cc"):
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -119,13 +156,14 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callab
     Returns None if programs are not kept.
     """
     folders = list(_folders)  # another thread may end the context meanwhile
-    if not folders:
+    if not folders or effect_files():
         return None
     dynamic, static = eqx.partition(tuple(arguments), eqx.is_array)
     leaves, structure = jax.tree.flatten(dynamic)
     name = f"{function.__module__}.{function.__qualname__}"
     text = _FUNCTION.sub(r"\1>", repr((structure, jax.tree.flatten(static))))
-    if "<" in name or " at 0x" in text:  # the texts do not tell two such functions or objects apart
+    # The texts do not tell two such functions or objects apart.
+    if "<" in name or "<locals>" in text or " at 0x" in text:
         return None
     shapes = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves]
     # A loaded program needs the compiled solver, which `is_used` loads.
@@ -142,8 +180,10 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callab
             outs[:] = [tree]
             return values
 
-        before = _cache_hits()
-        compiled = jax.jit(flat).lower(*leaves).compile()
+        before, lowered = _cache_hits(), jax.jit(flat).lower(*leaves)
+        compiled = lowered.compile()
+        if _cache_hits() > before and _complete:
+            before, compiled = _cache_hits(), _compiled_anew(lowered)
         return_freed_memory()
         if _cache_hits() == before and _version() == folders[-1].name:
             _store(path, compiled, outs[0])
@@ -187,3 +227,46 @@ def _settings() -> list[Any]:
     paths = ("cache", "dir", "dump", "log")
     own = {k: str(x) for k, x in jax.config.values.items() if not any(p in k for p in paths)}
     return [own, os.environ.get("XLA_FLAGS"), [str(x) for x in jax.devices()]]
+
+
+def compiled_once(function, stored: bool = False):
+    """Returns the compiled `function`; a thread waits while another thread compiles it.
+
+    JAX compiles a program twice if two threads call it for the first time at the same time. If
+    `stored` is true, a context of `kept_programs` loads the program from a file if an earlier
+    process stored it. On two threads, loaded programs for tangents take 1.2 times as long as
+    programs of `jax.jit`, so they are not stored.
+    """
+    jitted = eqx.filter_jit(function)
+    locks: dict[Hashable, Lock] = defaultdict(Lock)
+    ready: dict[Hashable, Callable] = {}
+
+    def call(*arguments):
+        if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(arguments)):
+            return jitted(*arguments)  # within another program
+        key = call_signature(arguments)
+        if key in ready:
+            return ready[key](*arguments)
+        with locks[key]:
+            if key in ready:
+                return ready[key](*arguments)
+            kept = stored_program(function, arguments) if stored else None
+            if kept is None:
+                kept = jitted, jitted(*arguments)
+                return_freed_memory()
+            ready[key], found = kept
+        return found
+
+    return call
+
+
+def kept_once(function):
+    """Returns `compiled_once` of a function whose programs `kept_programs` keeps in files."""
+    return compiled_once(function, stored=True)
+
+
+def call_signature(arguments: tuple) -> Hashable:
+    """Returns the structure of `arguments`, the arrays' shapes and types, and all other values."""
+    leaves, structure = jax.tree.flatten(arguments)
+    kinds = ((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in leaves if eqx.is_array(x))
+    return structure, *kinds, *(x for x in leaves if not eqx.is_array(x))

@@ -7,10 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
-from calibration.model import stored_programs
-from calibration.model.compiled import compiled_batch, compiled_once
-from calibration.model.stored_programs import UNUSED_DAYS, kept_programs
+from calibration.model.compiled import compiled_batch
+from slider_jax import programs
+from slider_jax.programs import (
+    UNUSED_DAYS,
+    all_programs_kept,
+    compiled_once,
+    compiled_programs,
+    kept_programs,
+)
 
 TRACED = []
 
@@ -27,7 +34,7 @@ def folder(tmp_path, monkeypatch):
     before = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     TRACED.clear()
-    yield tmp_path / stored_programs.FOLDER
+    yield tmp_path / programs.FOLDER
     jax.config.update("jax_compilation_cache_dir", before)
 
 
@@ -113,20 +120,20 @@ def test_programs_of_other_sources_versions_and_settings_are_not_loaded(
     folder, changed, monkeypatch
 ):
     later_process(jnp.arange(4.0), 2.0)
-    monkeypatch.setattr(stored_programs, changed, lambda: 20 * "f")
+    monkeypatch.setattr(programs, changed, lambda: 20 * "f")
     later_process(jnp.arange(4.0), 2.0)
     assert TRACED == [2.0, 2.0]
 
 
 def test_nothing_is_stored_while_effects_of_other_files_are_loaded(folder, monkeypatch):
-    monkeypatch.setattr(stored_programs, "effect_files", lambda: [{"path": "own.py"}])
+    monkeypatch.setattr(programs, "effect_files", lambda: [{"path": "own.py"}])
     later_process(jnp.arange(8.0), 2.0)
     assert not files(folder)
 
 
 def test_nothing_is_stored_if_a_source_file_changed_meanwhile(folder, monkeypatch):
     with kept_programs():
-        monkeypatch.setattr(stored_programs, "source_digest", lambda: 20 * "f")
+        monkeypatch.setattr(programs, "source_digest", lambda: 20 * "f")
         stored_once(scaled)(jnp.arange(9.0), 2.0)
     assert not files(folder)
 
@@ -158,3 +165,52 @@ def test_programs_of_old_sources_are_deleted(folder):
         os.utime(path, (time.time() - 86400.0 * days,) * 2)
     later_process(jnp.arange(4.0), 2.0)
     assert not old.exists() and recent.exists() and other.exists()
+
+
+def test_freed_memory_is_returned_once_after_each_new_program(monkeypatch):
+    calls = []
+    monkeypatch.setattr(programs, "return_freed_memory", lambda: calls.append(1))
+    double = compiled_once(lambda x: 2.0 * x)
+    for size in (3, 3, 4, 3):
+        np.testing.assert_array_equal(double(np.ones(size)), 2.0 * np.ones(size))
+    assert len(calls) == 2
+
+
+def test_a_program_within_another_program_is_not_stored(folder):
+    double = stored_once(lambda x: 2.0 * x)
+    with kept_programs():
+        np.testing.assert_array_equal(jax.jit(double)(jnp.arange(4.0)), 2.0 * jnp.arange(4.0))
+        assert jax.grad(lambda x: double(x))(1.5) == 2.0
+    assert not files(folder)
+
+
+def cubed(x):
+    """Returns the cube; only `test_a_program_of_the_cache_of_jax_is_compiled_again` uses it."""
+    return x * x * x + 0.625
+
+
+def test_a_program_of_the_cache_of_jax_is_compiled_again(folder):
+    """Otherwise, each later process would trace it."""
+    before = jax.config.values["jax_persistent_cache_min_compile_time_secs"]
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    compilation_cache.reset_cache()
+    try:
+        later_cube()
+        for path in files(folder):
+            path.unlink()
+        jax.clear_caches()
+        later_cube()
+        assert not files(folder)
+        jax.clear_caches()
+        with all_programs_kept():
+            later_cube()
+        assert len(files(folder)) == 1
+        assert {*files(folder)} < compiled_programs()
+    finally:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", before)
+        compilation_cache.reset_cache()
+
+
+def later_cube():
+    with kept_programs():
+        np.testing.assert_array_equal(stored_once(cubed)(jnp.ones(3)), 1.625 * np.ones(3))
