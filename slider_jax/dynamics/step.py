@@ -161,13 +161,16 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             moved = anchor + dt * support.anchor_velocity(head, omega, t)
             return moved - support.anchor_offset(head.phi, t)
 
-        def place():
-            """Predicts the positions (2, cells) [m]; the error is of third order in the step.
+        def nodes_of_guess():
+            """Predicts the positions (2, nodes) [m]; the error is of third order in the step.
 
             The compression by tendons, which moves the cells by micrometres, is neglected.
             """
             eps = strain(mesh.grid.mid(guess[0]), mesh.structure, at_reference)
-            return mesh.grid.mid(node_positions(guess[5], eps, head_of(guess), mesh.grid))
+            return node_positions(guess[5], eps, head_of(guess), mesh.grid)
+
+        def place():
+            return mesh.grid.mid(nodes_of_guess())
 
         guess = sum(w * y for w, y in zip(predictor, carry.history, strict=True))
         stage = Stage(
@@ -183,6 +186,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             t=t,
             actuators=model.actuators,
             shape=shape,
+            immersion=model.immersion_at(nodes_of_guess),
         )
         return guess, stage, head_of
 
