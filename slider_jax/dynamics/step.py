@@ -31,6 +31,7 @@ from slider_jax.dynamics.residual import (
     jacobian,
     load_rates,
     residual,
+    turning_rate,
 )
 from slider_jax.dynamics.shapes import has_shape, shape_at, shape_in_step
 from slider_jax.dynamics.time_schemes import Scheme, extrapolation
@@ -176,7 +177,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         stage = Stage(
             structure=mesh.under(chambers.acting),
             effects=model.effects,
-            support=support,
+            support=support.in_stage(reference.support, dt),
             reference=at_reference,
             phi_head=reference.motion[2, -1],
             load_head=reference.load,
@@ -207,6 +208,9 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             head=head_of(y),
             load=stage.load_head + stage.reference.dt * load_rates(y[:, -1], stage),
             internal=tuple(z for _, z in internal_moments(section, stage)),
+            support=stage.support.settled(
+                fields(y[:, -1]), turning_rate(fields(y[:, -1]), stage), t
+            ),
         )
         memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), solved, carry.memory)
         new = Carry(
@@ -226,6 +230,10 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         shapes = shape_in_step(model.actuators, mesh.structure, scheme, t_start, h)
         rows = (times, weights, predict, chambers, shapes)
         first = jax.tree.map(lambda x: x[0], rows)
+        if carry.memory.support is not None:
+            at = carry.memory.head, carry.memory.motion[2, -1]
+            state = support.begin(carry.memory.support, *at, t_start, t_start + h)
+            carry = eqx.tree_at(lambda c: c.memory.support, carry, state)
         # All stages have the same gamma h, so one factorisation usually serves the whole step.
         count = carry.factorisations + jnp.where(carry.ok, 1, 0)
         carry = eqx.tree_at(lambda c: c.factorisations, carry, count)
@@ -260,7 +268,12 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
         s = grid_of(model.body, numerics).s
         y, memory = straight_state(s, V_tau, V_n, angle, rate)
     internal = tuple(jnp.zeros_like(y[0, 1:]) for _ in of_place(model.effects, BendingMoment))
-    memory = eqx.tree_at(lambda m: m.internal, memory, internal)
+    memory = eqx.tree_at(
+        lambda m: (m.internal, m.support),
+        memory,
+        (internal, model.support.start_state()),
+        is_leaf=lambda x: x is None,
+    )
     return initial_carry(y, memory, start_chambers(model))
 
 
