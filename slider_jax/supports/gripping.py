@@ -98,7 +98,8 @@ class GrippingLink(Support):
     spines: Spines
     clock: Clock
     link_length: Scalar = 0.03
-    phase: Scalar = 0.0
+    phase: Scalar | Float[Array, " knots"] = 0.0
+    """Delay as a fraction of a period: one number, or its values at the clock's times."""
     wall_from: Scalar = 0.0
     up: Scalar = 0.0
     speed: Scalar = 0.0
@@ -121,7 +122,10 @@ class GrippingLink(Support):
 
     def commanded(self, t: Array) -> Float[Array, "2"]:
         """Returns 1 for the end that is commanded to grip at `t` [s], and 0 for the other end."""
-        turn = self.clock.turns(t) - self.phase
+        phase = jnp.asarray(self.phase, float)
+        if phase.ndim:
+            phase = jnp.interp(t, jnp.asarray(self.clock.times, float), phase)
+        turn = self.clock.turns(t) - phase
         left = turn - jnp.floor(turn) < 0.5
         return jnp.where(jnp.array([True, False]), left, ~left).astype(float)
 
