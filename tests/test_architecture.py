@@ -25,6 +25,7 @@ LAYERS = [
     {"slider_jax.batch", "slider_jax.realtime"},
     {"slider_jax.swimming"},
     {"slider_jax.climbing", "slider_jax.sweep"},
+    {"slider_jax.transition"},
     {"slider_jax.optimise", "slider_jax.reproduction"},
     {"slider_jax.statements"},
     {"calibration.model"},

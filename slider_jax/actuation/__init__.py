@@ -16,6 +16,7 @@ from slider_jax.actuation.pressure import (
     Ideal as Ideal,
     PressureLaw as PressureLaw,
 )
+from slider_jax.actuation.scheduled import ScheduledSquareWave as ScheduledSquareWave
 from slider_jax.actuation.tendon import (
     LengthTendon as LengthTendon,
     Tendon as Tendon,

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.beam.state import Fields, to_body, to_plane
+from slider_jax.beam.waterline import Immersion
 
 
 class Structure(eqx.Module):
@@ -108,6 +109,10 @@ class Section(eqx.Module):
     area: Array | None = None
     U_n_gradient: Array | None = None
     """Slopes (2, cells) [1/s] of the water velocity U_n along tau and n; None in uniform water."""
+    wet: Array | None = None
+    """Fraction [-] of the cell below the water's surface; None without a waterline."""
+    wetting: Array | None = None
+    """Rate [1/s] at which motion across the body wets the cell; None without a waterline."""
 
 
 def strain(T, structure: Structure, reference: Reference):
@@ -124,12 +129,14 @@ def section(
     water: Float[Array, "2 2"] | LocalWater,
     pressure,
     t,
+    immersion: Immersion | None = None,
 ) -> Section:
     """Returns the local state of the body in each cell at time `t` [s].
 
     `mid` and `slope` are the means and slopes d/ds of the unknowns. `pressure` (cells,) [Pa] is the
     pressure of the chamber at each cell. `water` contains the velocity U [m/s] and the acceleration
-    [m/s^2] of uniform water, each (x, y), or it is the `LocalWater` at the cells.
+    [m/s^2] of uniform water, each (x, y), or it is the `LocalWater` at the cells. `immersion` is
+    None without a waterline.
 
     The time derivatives follow the body and the slopes are along the body, so in nonuniform water
 
@@ -155,6 +162,7 @@ def section(
         u_tau_s = u_tau_s - (1.0 + eps) * tau_slope[0]
         u_n_s = u_n_s - (1.0 + eps) * tau_slope[1]
         gradient = jnp.stack([tau_slope[1], n_slope[1]])
+    u_n = mid.V_n - U_n
     return Section(
         **vars(structure),
         t=t,
@@ -170,12 +178,14 @@ def section(
         V_tau_t=V_tau_t,
         V_n_t=V_n_t,
         u_tau=mid.V_tau - U_tau,
-        u_n=mid.V_n - U_n,
+        u_n=u_n,
         u_tau_s=u_tau_s,
         u_n_s=u_n_s,
         u_tau_t=V_tau_t - omega * U_n - A_tau,
         u_n_t=V_n_t + omega * U_tau - A_n,
         U_n_gradient=gradient,
+        wet=None if immersion is None else immersion.wet,
+        wetting=None if immersion is None else immersion.wetting(u_n, mid.phi),
     )
 
 

@@ -4,7 +4,7 @@ The array of unknowns has shape (6, N). The last axis contains the N nodes and i
 memory. In the body frame, tau points towards the head and n is tau rotated by +90 degrees.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -44,7 +44,7 @@ class Memory(eqx.Module):
     `motion` (3, N): V_tau [m/s], V_n [m/s] and phi [rad] at the nodes. `strain` (N - 1,): eps [-]
     in the cells. `head` (2,): position [m] of the head. `load` (3,): T, N, M at the head, filtered
     with the time constant `MOUNT_LAG`. `internal`: state (..., N - 1) of each effect that has a
-    state in the cells.
+    state in the cells. `support`: state of the support; None for a support without a state.
     """
 
     motion: Float[Array, "3 nodes"]
@@ -52,6 +52,7 @@ class Memory(eqx.Module):
     head: Float[Array, "2"]
     load: Float[Array, "3"]
     internal: tuple[Float[Array, "*states cells"], ...] = ()
+    support: Any = None
 
 
 def straight_state(

@@ -47,6 +47,11 @@ COMMANDS = {
     "climb": Subcommand(
         "slider_jax.cli.swim:climb", "simulates a robot that climbs a wall in air", effects=True
     ),
+    "transition": Subcommand(
+        "slider_jax.cli.transition:transition",
+        "simulates a robot that swims to a wall and climbs out of the water",
+        effects=True,
+    ),
     "statics": Subcommand(
         "slider_jax.cli.statics:rod_statics",
         "computes the shape of a rod at rest under loads, in three dimensions",

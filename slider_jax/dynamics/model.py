@@ -12,6 +12,7 @@ from slider_jax.actuation import Actuator, PressureLaw, Waveform, chamber_window
 from slider_jax.beam.equations import LocalWater, Structure
 from slider_jax.beam.grid import Grid
 from slider_jax.beam.parameters import Numerics, Robot, Scalar, grid_of
+from slider_jax.beam.waterline import Immersion, Waterline
 from slider_jax.effects import BodyChange, Effect, WaterMotion, of_place
 from slider_jax.errors import InputError
 from slider_jax.supports import Support
@@ -59,6 +60,15 @@ class Model(eqx.Module):
     """Actuators in addition to the chambers."""
     space: SpaceSettings | None = None
     """Settings of a model in three dimensions; None for a planar model."""
+    waterline: Waterline | None = None
+    """Surface of the water; None if the water is everywhere."""
+
+    def __check_init__(self):
+        if self.space is not None and self.waterline is not None:
+            raise InputError(
+                "waterline: given a surface of the water; allowed nothing with dimension = 3, "
+                "because immersion is computed in the plane only"
+            )
 
     @property
     def body(self) -> Robot:
@@ -98,6 +108,13 @@ class Model(eqx.Module):
         if not isinstance(self.water, WaterField):
             return uniform
         return self.water.at_cells(place(), t, uniform)
+
+    def immersion_at(self, nodes: Callable[[], Float[Array, "2 nodes"]]) -> Immersion | None:
+        """Returns the wet part of the cells, or None without a waterline.
+
+        `nodes` returns the positions [m] of the nodes; it is called only for a waterline.
+        """
+        return None if self.waterline is None else self.waterline.immersion(nodes())
 
 
 class Mesh(eqx.Module):

@@ -16,6 +16,7 @@ from slider_jax.beam.equations import (
     section,
 )
 from slider_jax.beam.state import Fields, Unknowns, fields
+from slider_jax.beam.waterline import Immersion
 from slider_jax.dynamics.block_solver import BeamOperator, Update
 from slider_jax.dynamics.shapes import Shape
 from slider_jax.dynamics.tendons import couples, tendon_loads, tendons_of, tensions
@@ -54,6 +55,8 @@ class Stage(eqx.Module):
     level: Array | None = None
     """Factor of the loads of the actuators; None for 1."""
     shape: Shape | None = None
+    immersion: Immersion | None = None
+    """The wet part of the cells; None without a waterline."""
 
 
 @eqx.filter_jit
@@ -80,8 +83,9 @@ def _local(mid: Fields, slope: Fields, stage: Stage, tension: Array | None) -> S
         _, compression = tendon_loads(stage.actuators, tension, stage.structure)
         mid = mid._replace(T=mid.T - compression)
     return section(
-        mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t
-    )
+        mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t,
+        stage.immersion,
+    )  # fmt: skip
 
 
 def _active_moment(x: Section, stage: Stage, tension: Array | None) -> Array:
@@ -126,6 +130,8 @@ def forces_and_states(
     memories, dt, states = stage.reference.internal, stage.reference.dt, []
     for effect, memory in zip(wakes, memories[: len(wakes)], strict=True):
         (f_tau, f_n), state = effect.wake_force(x, memory, dt)
+        if x.wet is not None:
+            f_tau, f_n = x.wet * f_tau, x.wet * f_n
         F_tau, F_n = F_tau + f_tau, F_n + f_n
         states.append(state)
     moment = jnp.zeros_like(x.kappa)

@@ -20,6 +20,7 @@ from slider_jax.dynamics.residual import Stage, at_cells, jacobian, residual
 from slider_jax.dynamics.shapes import Shape, has_shape, shape_at
 from slider_jax.dynamics.step import Carry, initial_carry
 from slider_jax.effects import states_at_rest
+from slider_jax.errors import InputError
 
 LONG = 1e9
 """Value of dt [s] in a static stage, so large that rates (value - reference)/dt vanish."""
@@ -59,6 +60,11 @@ def at_rest_under(
     The drive of the model is ignored. Its actuators keep their commands of the time `t` [s]. All
     numbers in `model` and `loads` are differentiable.
     """
+    if model.waterline is not None:
+        raise InputError(
+            "waterline: given a surface of the water; allowed nothing, because static shapes are "
+            "computed for a robot that is wholly in water or in air; simulate its motion instead"
+        )
     mesh = make_mesh(model.body, numerics)
     zero = jnp.zeros_like(mesh.grid.ds)
     internal = states_at_rest(model.effects, zero)

@@ -31,6 +31,7 @@ from slider_jax.dynamics.residual import (
     jacobian,
     load_rates,
     residual,
+    turning_rate,
 )
 from slider_jax.dynamics.shapes import has_shape, shape_at, shape_in_step
 from slider_jax.dynamics.time_schemes import Scheme, extrapolation
@@ -161,19 +162,22 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             moved = anchor + dt * support.anchor_velocity(head, omega, t)
             return moved - support.anchor_offset(head.phi, t)
 
-        def place():
-            """Predicts the positions (2, cells) [m]; the error is of third order in the step.
+        def nodes_of_guess():
+            """Predicts the positions (2, nodes) [m]; the error is of third order in the step.
 
             The compression by tendons, which moves the cells by micrometres, is neglected.
             """
             eps = strain(mesh.grid.mid(guess[0]), mesh.structure, at_reference)
-            return mesh.grid.mid(node_positions(guess[5], eps, head_of(guess), mesh.grid))
+            return node_positions(guess[5], eps, head_of(guess), mesh.grid)
+
+        def place():
+            return mesh.grid.mid(nodes_of_guess())
 
         guess = sum(w * y for w, y in zip(predictor, carry.history, strict=True))
         stage = Stage(
             structure=mesh.under(chambers.acting),
             effects=model.effects,
-            support=support,
+            support=support.in_stage(reference.support, dt),
             reference=at_reference,
             phi_head=reference.motion[2, -1],
             load_head=reference.load,
@@ -183,6 +187,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             t=t,
             actuators=model.actuators,
             shape=shape,
+            immersion=model.immersion_at(nodes_of_guess),
         )
         return guess, stage, head_of
 
@@ -203,6 +208,9 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             head=head_of(y),
             load=stage.load_head + stage.reference.dt * load_rates(y[:, -1], stage),
             internal=forces_and_states(section, stage)[2],
+            support=stage.support.settled(
+                fields(y[:, -1]), turning_rate(fields(y[:, -1]), stage), t
+            ),
         )
         memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), solved, carry.memory)
         new = Carry(
@@ -222,6 +230,10 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         shapes = shape_in_step(model.actuators, mesh.structure, scheme, t_start, h)
         rows = (times, weights, predict, chambers, shapes)
         first = jax.tree.map(lambda x: x[0], rows)
+        if carry.memory.support is not None:
+            at = carry.memory.head, carry.memory.motion[2, -1]
+            state = support.begin(carry.memory.support, *at, t_start, t_start + h)
+            carry = eqx.tree_at(lambda c: c.memory.support, carry, state)
         # All stages have the same gamma h, so one factorisation usually serves the whole step.
         count = carry.factorisations + jnp.where(carry.ok, 1, 0)
         carry = eqx.tree_at(lambda c: c.factorisations, carry, count)
@@ -255,7 +267,12 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
     else:
         s = grid_of(model.body, numerics).s
         y, memory = straight_state(s, V_tau, V_n, angle, rate)
-    memory = eqx.tree_at(lambda m: m.internal, memory, states_at_rest(model.effects, memory.strain))
+    memory = eqx.tree_at(
+        lambda m: (m.internal, m.support),
+        memory,
+        (states_at_rest(model.effects, memory.strain), model.support.start_state()),
+        is_leaf=lambda x: x is None,
+    )
     return initial_carry(y, memory, start_chambers(model))
 
 

@@ -154,7 +154,19 @@ class ForceDensity(Effect):
 
     @abstractmethod
     def force(self, x: Section) -> tuple[Array, Array]:
-        """Returns the force per length (F_tau, F_n) [N/m] on a section of the body."""
+        """Returns the force per length (F_tau, F_n) [N/m] on a section of the body.
+
+        Above a waterline, the water exerts no force: `total_force` multiplies the force of an
+        effect that is not `in_air` by the wet fraction of the section.
+        """
+
+    def entry_force(self, x: Section) -> tuple[Array, Array]:
+        """Returns the force per length (F_tau, F_n) [N/m] due to the motion through the surface.
+
+        Only models with a waterline have this force, and it is not multiplied by the wet fraction.
+        An effect that gives momentum to the water must override this method.
+        """
+        return jnp.zeros_like(x.V_n), jnp.zeros_like(x.V_n)
 
     def load_in_space(self, x: SpatialSection) -> SpatialLoad:
         """Returns force and couple per length on a section of a body in space.
@@ -166,7 +178,10 @@ class ForceDensity(Effect):
 
 
 class WakeForce(Effect):
-    """A force per length on the body that depends on the past motion of each section."""
+    """A force per length on the body that depends on the past motion of each section.
+
+    With a waterline, the solver multiplies the force by the wet fraction of the section.
+    """
 
     states: ClassVar[int] = 1
     """Number of states of the effect in each cell."""
@@ -404,8 +419,20 @@ def total_load(effects: tuple[Effect, ...], x: SpatialSection) -> SpatialLoad:
     return total
 
 
+def force_of(effect: ForceDensity, x: Section) -> tuple[Array, Array]:
+    """Returns the force density (F_tau, F_n) [N/m] of an effect on the wet part of the section.
+
+    An effect that is `in_air` acts on the whole section.
+    """
+    F_tau, F_n = effect.force(x)
+    if x.wet is None or effect.in_air:
+        return F_tau, F_n
+    entry_tau, entry_n = effect.entry_force(x)
+    return x.wet * F_tau + entry_tau, x.wet * F_n + entry_n
+
+
 def total_force(effects: tuple[Effect, ...], x: Section) -> tuple[Array, Array]:
     """Returns the sum (F_tau, F_n) of the effects' force densities [N/m]."""
     zero = jnp.zeros_like(x.V_n)
-    parts = [effect.force(x) for effect in of_place(effects, ForceDensity)]
+    parts = [force_of(effect, x) for effect in of_place(effects, ForceDensity)]
     return sum((p[0] for p in parts), zero), sum((p[1] for p in parts), zero)

@@ -41,6 +41,7 @@ from slider_jax.experiment.tables import (
     Width,
     fail,
 )
+from slider_jax.experiment.transition_table import TransitionTable
 from slider_jax.io.units import Quantity
 
 FEWEST_NODES = 11
@@ -449,6 +450,7 @@ class ExperimentTable(Table):
     numerics: NumericsTable = NumericsTable()
     actuators: Annotated[tuple[AnyActuator, ...], FROM_LIST] = ()
     effects: Annotated[tuple[EffectTable, ...], FROM_LIST] = ()
+    transition: TransitionTable | None = None
     trials: Annotated[tuple[Trial, ...], FROM_LIST, Field(min_length=1)]
 
     @property
@@ -505,9 +507,20 @@ class ExperimentTable(Table):
                 fail(f"actuators.{i}.kind", repr(actuator.kind), allowed)
             if isinstance(actuator, ChamberTable) and actuator.stiffening:
                 fail(f"actuators.{i}.stiffening", actuator.stiffening, "0, as dimension is 3")
+        if self.transition is not None:
+            fail("transition", "a table", "nothing, because dimension is 3")
         for key in ("field", "vortex_street"):
             if getattr(self.water, key) is not None:
                 fail(f"water.{key}", "a velocity field", "nothing, because dimension is 3")
+        return self
+
+    @model_validator(mode="after")
+    def _steps_resolve_the_schedule(self) -> Self:
+        if self.transition is not None:
+            fastest = max(x.frequency for x in self.transition.schedule)
+            if self.numerics.step > 0.05 / fastest:
+                longest = f"{0.05 / fastest:.4g} s, a twentieth of the schedule's shortest period"
+                fail("numerics.step", self.numerics.step, f"at most {longest}")
         return self
 
     @model_validator(mode="after")

@@ -1,7 +1,7 @@
 """Base class of the supports of the head. The tail end is always free: T = N = M = 0."""
 
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -31,6 +31,29 @@ class Support(eqx.Module):
     @abstractmethod
     def during(self, t0: Array, t1: Array) -> "Support":
         """Returns the support for the time step from `t0` to `t1` [s]."""
+
+    def start_state(self) -> Any:
+        """Returns the state of the support at the start of a simulation; None without a state."""
+        return None
+
+    def begin(self, state: Any, head: Float[Array, "2"], phi: Array, t0: Array, t1: Array) -> Any:
+        """Returns the state at the start of the time step from `t0` to `t1` [s].
+
+        `state` is the state after the last step, and `head` (x, y) [m] and `phi` [rad] are the
+        place and the angle of the head. A support with a state must override this method.
+        """
+        return state
+
+    def in_stage(self, state: Any, dt: Array) -> "Support":
+        """Returns the support in a stage. Its state q has the rate (q - `state`)/`dt`.
+
+        A support with a state must override this method and solve the equation of q in closed form.
+        """
+        return self
+
+    def settled(self, head: Fields, omega: Array, t: Array) -> Any:
+        """Returns the state after the stage; a support with a state must override this method."""
+        return None
 
     @abstractmethod
     def rows(self, head: Fields, omega: Array, t: Array) -> tuple[Array, Array, Array]:

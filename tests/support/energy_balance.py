@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from slider_jax.beam.state import fields
 from slider_jax.dynamics.residual import turning_rate
 from slider_jax.dynamics.step import Snapshot
+from slider_jax.effects.base import force_of
 from slider_jax.observables import StoredEnergy, chamber_power
 
 
@@ -71,7 +72,7 @@ def energy_rates(x: Snapshot) -> EnergyRates:
     stretch = 1.0 + section.strain
 
     def given(effect):
-        F_tau, F_n = effect.force(section)
+        F_tau, F_n = force_of(effect, section)
         return -integral(stretch * (F_tau * section.V_tau + F_n * section.V_n))
 
     accelerating = section.V_tau * section.V_tau_t + section.V_n * section.V_n_t

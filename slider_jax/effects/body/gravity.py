@@ -21,6 +21,8 @@ class Gravity(ForceDensity):
     centre of buoyancy of a body in space may lie beside the centre of mass. The couple of the two
     forces then rights the body.
 
+    If the model has a waterline, A is the volume of the wet part.
+
     In water, the tension T of the beam is the tension plus the pressure of the water times the
     cross-section, so it is 0 at a free end. Source: Archimedes' principle, Batchelor, G. K. (1967),
     An Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
@@ -50,7 +52,8 @@ class Gravity(ForceDensity):
     """Density rho [kg/m^3] of the water around the robot; 0 in air."""
 
     def force(self, x):
-        mass = x.linear_density if x.area is None else x.linear_density - self.density * x.area
+        area = x.area if x.wet is None or x.area is None else x.wet * x.area
+        mass = x.linear_density if area is None else x.linear_density - self.density * area
         weight = mass * self.g * jnp.cos(self.elevation) / (1.0 + x.strain)
         return to_body((-weight * jnp.cos(self.up), -weight * jnp.sin(self.up)), x.phi)
 

@@ -51,9 +51,19 @@ class EdgeVortices(ForceDensity):
     """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
+        C_v, m_A = self._coefficient_and_mass(x)
+        drag = 0.5 * self.density * C_v * x.height * jnp.abs(x.u_n) * x.u_n
+        F_n = -drag - m_A * x.u_n_t
+        return jnp.zeros_like(F_n), F_n
+
+    def entry_force(self, x):
+        _, m_A = self._coefficient_and_mass(x)
+        F_n = -m_A * jnp.maximum(x.wetting, 0.0) * x.u_n
+        return jnp.zeros_like(F_n), F_n
+
+    def _coefficient_and_mass(self, x):
+        """Returns the drag coefficient [-] and the added mass [kg/m] of the vortices."""
         KC_2 = squared_KC(x, self.stride_frequency) + KC_MIN**2
         C_v = self.C * KC_2 ** (-0.5 * self.exponent)
         C_m = 8.0 * jnp.tan(self.phase) / (3.0 * math.pi**3) * jnp.sqrt(KC_2) * C_v
-        drag = 0.5 * self.density * C_v * x.height * jnp.abs(x.u_n) * x.u_n
-        F_n = -drag - C_m * self.density * math.pi * x.height**2 / 4.0 * x.u_n_t
-        return jnp.zeros_like(F_n), F_n
+        return C_v, C_m * self.density * math.pi * x.height**2 / 4.0

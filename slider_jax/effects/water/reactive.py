@@ -40,6 +40,15 @@ class ReactiveForce(ForceDensity):
         f = -dP/dt + d(u_tau P - E tau)/ds + (J_A w dw/ds - c_r Omega_tau) tau
         c = (c_r + (m_n - m_b) u_n u_b) tau                                   (Munk's moment)
 
+    A section that moves through the water's surface at the lateral velocity u_n changes the wet
+    fraction w of its slice of water at the rate r = dw/dt - u_tau dw/ds = u_n n . grad(w). On
+    entry, the water gains the momentum m_A u_n suddenly. On exit, the water keeps its momentum:
+
+        F = w f - m_A max(r, 0) u_n n
+
+    The body then loses the power m_A |r| u_n^2/2 in both directions, to the spray on entry and to
+    the water that stays behind on exit, so the surface never gives energy to the body.
+
     If H is uniform, dm_A/ds = 0. `HeadAddedMass` adds the point force at a blunt
     head; docs/explanation/decisions.md explains why the base model omits this force.
 
@@ -48,7 +57,10 @@ class ReactiveForce(ForceDensity):
     water: Candelier, F., Porez, M. and Boyer, F. (2013), Note on the swimming of an elongated body
     in a non-uniform flow, J. Fluid Mech. 716, 616-637. In space: Candelier, F., Boyer, F. and
     Leroyer, A. (2011), Three-dimensional extension of Lighthill's large-amplitude elongated-body
-    theory of fish locomotion, J. Fluid Mech. 674, 196-226.
+    theory of fish locomotion, J. Fluid Mech. 674, 196-226. Entry: von Karman, T. (1929), The impact
+    on seaplane floats during landing, NACA Technical Note 321. Exit: Kaplan, P. (1987), Analysis
+    and prediction of flat bottom slamming impact of advanced marine vehicles in waves, Int.
+    Shipbuild. Progr. 34, 44-53.
     """
 
     title = "reactive force of the added mass"
@@ -75,6 +87,10 @@ class ReactiveForce(ForceDensity):
             refraction = m_A * x.u_n * x.U_n_gradient
             F_tau, F_n = F_tau - refraction[0], F_n - refraction[1]
         return F_tau - m_A_s * x.u_n**2 / 2.0, F_n + m_A_s * x.u_tau * x.u_n
+
+    def entry_force(self, x):
+        F_n = -self.added_mass(x.height) * jnp.maximum(x.wetting, 0.0) * x.u_n
+        return jnp.zeros_like(F_n), F_n
 
     def load_in_space(self, x):
         s, u, w = x.structure, x.u, x.slip
