@@ -9,6 +9,7 @@ buoyancy, R the energy given to the water, D the energy that the body's viscosit
 effects dissipate, and S the energy given to the spines.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,12 +24,12 @@ from slider_jax.beam.parameters import G, Numerics, Scalar
 from slider_jax.beam.state import fields, to_plane
 from slider_jax.beam.waterline import Waterline
 from slider_jax.dynamics.model import Drive, Model
-from slider_jax.dynamics.residual import internal_moments, turning_rate
+from slider_jax.dynamics.residual import forces_and_states, turning_rate
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
-from slider_jax.effects import Gravity, WaterMotion, of_place
-from slider_jax.effects.base import ForceDensity, Mounting, force_of
+from slider_jax.effects import Gravity, WaterMotion, total_force
+from slider_jax.effects.base import Mounting
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model
 from slider_jax.experiment.transition_table import TransitionTable
@@ -171,15 +172,14 @@ def _saved(x: Snapshot) -> CourseSeries:
     midline = obs.midline(x)
     stretch = 1.0 + section.strain
 
-    def given(effects):
-        forces = [force_of(e, section) for e in effects]
-        total = sum((F[0] * section.V_tau + F[1] * section.V_n for F in forces), 0.0 * section.s)
-        return -grid.integral(stretch * total)
+    def given(force):
+        F_tau, F_n = force
+        return -grid.integral(stretch * (F_tau * section.V_tau + F_n * section.V_n))
 
-    densities = of_place(x.stage.effects, ForceDensity)
-    weight = tuple(e for e in densities if isinstance(e, Gravity))
-    others = tuple(e for e in densities if not isinstance(e, Gravity))
-    moments = sum((m for m, _ in internal_moments(section, x.stage)), jnp.zeros_like(section.s))
+    effects = x.stage.effects
+    weight = tuple(e for e in effects if isinstance(e, Gravity))
+    others = tuple(e for e in effects if not isinstance(e, Gravity))
+    of_water, moments, _ = forces_and_states(section, replace(x.stage, effects=others))
     damped = section.EI * section.kappa_t**2 + section.EA * section.strain_t**2
     forces, grips = link.grips(head, omega)
     ends = jnp.stack(
@@ -195,8 +195,8 @@ def _saved(x: Snapshot) -> CourseSeries:
         status=grips.status,
         load=grips.load,
         power=jnp.sum(obs.chamber_power(x)),
-        to_weight=given(weight),
-        to_water=given(others),
+        to_weight=given(total_force(weight, section)),
+        to_water=given(of_water),
         to_body=grid.integral(section.damping_time * damped + moments * section.kappa_t),
         to_spines=-jnp.sum(forces * ends),
         stored=obs.stored_energy(x).total,
