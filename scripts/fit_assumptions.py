@@ -30,7 +30,7 @@ from slider_jax.precision import enable_float64
 from slider_jax.statements.quantities import FINE
 
 STEPS = 12
-"""Largest number of gradient steps from a set. After about eight, the score hardly changes."""
+"""Largest number of gradient steps from a set."""
 
 
 def show(name: str, generation: Any, seconds: float) -> None:

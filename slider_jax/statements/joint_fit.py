@@ -189,7 +189,7 @@ SMALL, STEEP = 1e-6, 1e4
 jumps within this step, at an end of a one-sided interval."""
 DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Dampings of a step of Levenberg and Marquardt, relative to the diagonal of the Hessian."""
-LONGEST, GAIN = 0.15, 1e-4
+LONGEST, GAIN = 0.15, 1e-3
 """Longest step along an assumption, as a fraction of its range; smallest gain of the score."""
 
 
