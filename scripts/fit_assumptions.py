@@ -8,6 +8,11 @@ of the table. The score is minus the mean of log(1 + miss^2). The result is join
 to slider_jax/statements, from which `slider published --all` takes the joint assumptions.
 evaluated.jsonl contains every set of assumptions that was simulated. The searches take about an
 hour on two cores. An interrupted run resumes when you repeat the command.
+
+    python scripts/fit_assumptions.py results/gradients --gradients
+
+This command improves the stored best sets by gradient steps instead, on the mesh of the table. The
+result is the stored joint_fit.json with the key `gradients`. A step takes about half a minute.
 """
 
 import argparse
@@ -24,15 +29,51 @@ from slider_jax.optimise.population import start_devices
 from slider_jax.precision import enable_float64
 from slider_jax.statements.quantities import FINE
 
+STEPS = 12
+"""Largest number of gradient steps from a set."""
+
 
 def show(name: str, generation: Any, seconds: float) -> None:
     text = f"{name}: generation {generation.number + 1}, best {generation.best:.3f}"
     print(f"{text}, {seconds:.0f} s", file=sys.stderr)
 
 
+def with_gradients(folder: Path) -> dict[str, Any]:
+    """Returns the stored result with gradient steps from its best sets; each is in a file."""
+    from slider_jax.statements.assumptions import Assumptions, to_unit
+    from slider_jax.statements.joint_fit import (
+        ALL,
+        COUNTED,
+        Simulator,
+        Slopes,
+        ascend,
+        ascent_record,
+    )
+    from slider_jax.statements.verdicts import joint_fit
+
+    stored = joint_fit()
+    starts = [x for x in (*stored["searches"], stored["refined"]) if x["objective"] == ALL]
+    slopes, simulate, records = Slopes(FINE), Simulator(FINE), []
+    for x in starts:
+        name = "refined" if x["start"] is None else f"start_{x['start']}"
+        path = folder / f"gradients_{name}.json"
+        if not path.exists():
+            print(f"gradient steps from {name}", file=sys.stderr)
+            found = ascend(
+                slopes, simulate, to_unit(Assumptions(**x["assumptions"])), COUNTED, STEPS,
+                lambda step, score: print(f"  step {step + 1}, {score:.4f}", file=sys.stderr),
+            )  # fmt: skip
+            write_json(path, ascent_record(ALL, x["start"], found))
+        records.append(json.loads(path.read_text(encoding="utf-8")))
+    return stored | {"gradients": records}
+
+
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="folder for the results")
+    parser.add_argument(
+        "--gradients", action="store_true", help="improve the stored best sets by gradient steps"
+    )
     given = parser.parse_args(argv)
     start_devices(available_cores())  # before the import of evosax, which starts JAX
     enable_float64()
@@ -40,6 +81,10 @@ def main(argv: list[str] | None = None) -> int:
 
     effort = Effort()
     folder = output_folder(given.folder)
+    if given.gradients:
+        write_json(folder / "joint_fit.json", with_gradients(folder))
+        print(f"wrote joint_fit.json to {folder}", file=sys.stderr)
+        return 0
     log = folder / "evaluated.jsonl"
     simulate, searches = Simulator(log=log), []
     for objective, start in effort.searches():

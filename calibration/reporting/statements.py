@@ -80,6 +80,14 @@ def statement_tables(record: dict[str, Any]) -> dict[str, TextTable]:
             [[x["objective"], str(x["start"]), str(len(x["agree"])), *_facts(x["facts"])]
              for x in record["searches"]],
         ),
+        "gradients": TextTable(
+            "Gradient steps from the best sets, on the mesh of the other tables", "",
+            ["start", "steps", "score before", "score", "agree before", "agree", *FACTS],
+            [["refined" if x["start"] is None else str(x["start"]), str(x["steps"]),
+              f"{x['score_before']:.3f}", f"{x['score']:.3f}", str(len(x["agree_before"])),
+              str(len(x["agree"])), *_facts(x["facts"])]
+             for x in record["gradients"]],
+        ),
         "front": TextTable(
             "Head-fixed thrust against tail amplitude",
             "No simulated set of assumptions is nearer to the paper in both quantities than a set "

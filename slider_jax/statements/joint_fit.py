@@ -98,8 +98,12 @@ def agreement_score(found: dict[str, float], counted: tuple[str, ...]) -> float:
 
     The logarithm limits the influence of statements that cannot agree.
     """
-    missed = np.array([SIMULATED[name].miss(found[SIMULATED[name].fact]) for name in counted])
-    return -float(np.mean(np.log1p(missed**2)))
+    return -float(np.mean(np.log1p(misses(found, counted) ** 2)))
+
+
+def misses(found: dict[str, float], counted: tuple[str, ...]) -> np.ndarray:
+    """Returns the misses (n,) of the `counted` statements, in tolerances."""
+    return np.array([SIMULATED[name].miss(found[SIMULATED[name].fact]) for name in counted])
 
 
 def random_start(start: int) -> np.ndarray:
@@ -145,6 +149,113 @@ def search(
     )  # fmt: skip
 
 
+class Slopes:
+    """Computes misses and their derivatives at a point (16,) of the unit box, by forward mode.
+
+    The derivative of the steady speed is that of the implicit function theorem. The fraction of a
+    stride with a large recoil counts time steps, so its derivative is zero.
+    """
+
+    def __init__(self, at: StatementSettings):
+        def both(x):
+            found = quantities(from_unit(x), at)
+            return found, found
+
+        self._at, self._compiled = at, jax.jit(jax.jacfwd(both, has_aux=True))
+
+    def __call__(
+        self, point: np.ndarray, counted: tuple[str, ...]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the misses (n,) of the `counted` statements, and their derivatives (n, 16)."""
+        slopes, found = jax.device_get(self._compiled(np.asarray(point)))
+
+        def misses_at(i: int, step: float) -> np.ndarray:
+            moved = jax.tree.map(lambda x, dx: x + step * dx[..., i], found, slopes)
+            return misses(facts(moved, self._at), counted)
+
+        columns = [
+            (misses_at(i, SMALL) - misses_at(i, -SMALL)) / (2.0 * SMALL) for i in range(len(point))
+        ]
+        derivatives = np.stack(columns, axis=1)
+        return misses(facts(found, self._at), counted), np.where(
+            np.abs(derivatives) < STEEP, derivatives, 0.0
+        )
+
+
+SMALL, STEEP = 1e-6, 1e4
+"""Step in the unit box for the facts as functions of the quantities, and slope above which a miss
+jumps within this step, at an end of a one-sided interval."""
+DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
+"""Dampings of a step of Levenberg and Marquardt, relative to the diagonal of the Hessian."""
+LONGEST, GAIN = 0.15, 1e-3
+"""Longest step along an assumption, as a fraction of its range; smallest gain of the score."""
+
+
+class Ascent(NamedTuple):
+    """Result of the gradient steps of `ascend`."""
+
+    point: np.ndarray
+    scores: list[float]
+    """Score at the start and after each step that improved it."""
+    first: dict[str, float]
+    """Facts at the start."""
+    last: dict[str, float]
+    """Facts at `point`."""
+
+
+def ascend(
+    slopes: Callable[[np.ndarray, tuple[str, ...]], tuple[np.ndarray, np.ndarray]],
+    simulate: Callable[[np.ndarray], list[dict[str, float]]],
+    start: np.ndarray,
+    counted: tuple[str, ...],
+    steps: int,
+    on_step: Callable[[int, float], None] = lambda step, score: None,
+) -> Ascent:
+    """Improves a set of assumptions by at most `steps` steps of Levenberg and Marquardt.
+
+    The loss log(1 + miss^2) has the weights 1/(1 + miss^2). Each step simulates one set for each of
+    `DAMPINGS`. It ends when none of them improves the score by `GAIN`.
+    """
+    point = np.asarray(start, float)
+    (first,) = simulate(point[None])
+    best, last, scores = agreement_score(first, counted), first, []
+    scores.append(best)
+    for step in range(steps):
+        missed, slope = slopes(point, counted)
+        weighted = slope / (1.0 + missed**2)[:, None]
+        gradient, hessian = weighted.T @ missed, weighted.T @ slope
+        free = ~(((point <= 0.0) & (gradient > 0.0)) | ((point >= 1.0) & (gradient < 0.0)))
+        diagonal = np.diag(hessian) + 1e-2 * np.max(np.diag(hessian))
+        tried = []
+        for damping in DAMPINGS:
+            move = np.zeros(len(point))
+            damped = (hessian + damping * np.diag(diagonal))[np.ix_(free, free)]
+            move[free] = -np.linalg.solve(damped, gradient[free])
+            tried.append(np.clip(point + move * min(1.0, LONGEST / np.abs(move).max()), 0.0, 1.0))
+        found = simulate(np.array(tried))
+        reached = [agreement_score(x, counted) for x in found]
+        chosen = int(np.argmax(reached))
+        if not reached[chosen] > best + GAIN:
+            break
+        point, best, last = tried[chosen], reached[chosen], found[chosen]
+        scores.append(best)
+        on_step(step, best)
+    return Ascent(point, scores, first, last)
+
+
+def ascent_record(objective: str, start: int | None, x: Ascent) -> dict[str, Any]:
+    """Returns the record of gradient steps from the best set of a search."""
+    return record_of(objective, start, x.point, x.scores[-1], x.last) | {
+        "score_before": x.scores[0],
+        "agree_before": _agreeing(x.first),
+        "steps": len(x.scores) - 1,
+    }
+
+
+def _agreeing(found: dict[str, float]) -> list[str]:
+    return [name for name in COUNTED if SIMULATED[name].agrees(found[SIMULATED[name].fact])]
+
+
 def _values(point: Sequence[float] | np.ndarray) -> dict[str, float]:
     return from_unit(np.asarray(point)).values()
 
@@ -157,7 +268,7 @@ def record_of(
         "objective": objective,
         "start": start,
         "score": score,
-        "agree": [x for x in COUNTED if SIMULATED[x].agrees(reached[SIMULATED[x].fact])],
+        "agree": _agreeing(reached),
         "facts": {name: reached[name] for name in FRONT_FACTS},
         "assumptions": _values(best),
     }

@@ -117,6 +117,7 @@ def write_comparison(
         "head_drag": parts.get("head drag", partial(_head_drags, built_in, speeds)),
         "multimodal": front,
         "searches": searched["searches"],
+        "gradients": searched.get("gradients", []),
         "front": searched["front"],
         "evaluated": searched["evaluated"],
         "settings": settings,

@@ -60,12 +60,15 @@ def test_an_interrupted_comparison_resumes_and_writes_all_files(small, tmp_path,
     known = after["facts"]["built-in robot"]["speed_m_per_s"]
     assert short == pytest.approx(known, rel=1e-4)
     # An end of a range that the built-in robot has is no change.
-    ends = {(x["assumption"], x["value"]) for x in after["single_changes"]}
+    ends = {(x["assumption"], round(x["value"], 6)) for x in after["single_changes"]}
     assert ("k", 0.02) in ends and ("phase", 0.3) in ends
     assert len(ends) == len(after["single_changes"]) < 2 * len(RANGES)
     assert (tmp_path / "published.html").read_text() == after["said"]
     assert sum("sets" in text for text in told) == 2 * len(before)
-    # The command makes the page.
-    assert main(["published", "--all", "--out", str(tmp_path)]) == 0
+    # The command reads the front and makes the page.
+    (tmp_path / "front").mkdir()
+    (tmp_path / "front" / "multimodal.json").write_text(json.dumps(front_of(5)))
+    front = ["--front", str(tmp_path / "front")]
+    assert main(["published", "--all", "--out", str(tmp_path), *front]) == 0
     assert after["said"] in (tmp_path / "published.html").read_text()
     assert "sweep peak frequency" in capsys.readouterr().out

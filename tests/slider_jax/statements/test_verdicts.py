@@ -14,8 +14,11 @@ from slider_jax.statements.joint_fit import (
     OBJECTIVES,
     Effort,
     Simulator,
+    Slopes,
     agreement_score,
+    ascend,
     front,
+    misses,
     search,
     summary,
     witness,
@@ -173,6 +176,70 @@ def test_a_search_resumes_and_its_summary_has_the_best_set(tmp_path):
     assert content["refined"]["agree"] == record["agree"]
 
 
+def test_gradient_steps_reach_the_best_set_within_the_ranges():
+    """Misses that are linear in the unit box, with the best set at 0.3, and at 0 for the first."""
+    best = np.r_[-0.2, np.full(len(RANGES) - 1, 0.3)]
+
+    def missed(point):
+        return np.resize(0.5 * (point - best), len(COUNTED))
+
+    def simulate(points):
+        # A miss of 1 is half of the interval of the statement.
+        rows = []
+        for x in points:
+            rows.append({})
+            for name, miss in zip(COUNTED, missed(x), strict=True):
+                one = SIMULATED[name]
+                half = 0.5 * (one.high - one.low) if one.published is not None else 0.0
+                rows[-1][one.fact] = (one.published or 0.0) + miss * half
+                if one.published is None:
+                    rows[-1][one.fact] = max(one.low, min(one.high, 0.0))
+        return rows
+
+    two_sided = tuple(name for name in COUNTED if SIMULATED[name].published is not None)
+
+    def slopes(point, counted):
+        places = [COUNTED.index(name) for name in counted]
+        matrix = np.zeros((len(COUNTED), len(RANGES)))
+        matrix[np.arange(len(COUNTED)), np.arange(len(COUNTED)) % len(RANGES)] = 0.5
+        signs = np.sign(missed(point))
+        return np.abs(missed(point))[places], (signs[:, None] * matrix)[places]
+
+    start = np.full(len(RANGES), 0.6)
+    found = ascend(slopes, simulate, start, two_sided, 12)
+    moved = {COUNTED.index(name) % len(RANGES) for name in two_sided}
+    expected = np.clip(best, 0.0, 1.0)
+    for i in range(len(RANGES)):
+        assert found.point[i] == pytest.approx(expected[i] if i in moved else 0.6, abs=5e-3), i
+    assert found.scores == sorted(found.scores) and len(found.scores) > 2
+    assert found.scores[-1] == agreement_score(found.last, two_sided)
+    none = ascend(slopes, simulate, found.point, two_sided, 3)
+    assert len(none.scores) <= 2
+
+
+@pytest.mark.slow
+def test_the_slopes_of_the_misses_equal_differences():
+    point = to_unit(fitted_assumptions(joint_fit()))
+    smooth = (
+        "static_tip",
+        "sweep_peak",
+        "speed",
+        "tail_amplitude",
+        "wavelength",
+        "best_phase_speed",
+    )
+    missed, slope = Slopes(COARSE)(point, smooth)
+    simulate, step = Simulator(COARSE), 1e-4
+    names = list(RANGES)
+    moved = [names.index(name) for name in ("K_Q", "EI_body", "k", "head_drag")]
+    points = [point + side * step * np.eye(len(names))[i] for i in moved for side in (1, -1)]
+    found = [misses(x, smooth) for x in simulate(np.array(points))]
+    for column, i in enumerate(moved):
+        differences = (found[2 * column] - found[2 * column + 1]) / (2.0 * step)
+        np.testing.assert_allclose(slope[:, i], differences, rtol=2e-3, atol=2e-3)
+    assert missed == pytest.approx(misses(simulate(point[None])[0], smooth))
+
+
 def test_the_stored_searches_belong_to_the_present_statements_and_ranges():
     found = joint_fit()
     assert set(found["agreeing"]) == set(found["witnesses"]) == set(SIMULATED)
@@ -198,6 +265,8 @@ def record_of(judgements):
         "ranges": {name: x._asdict() for name, x in RANGES.items()},
         "optimum": {"paper": {"gait": PAPER_GAIT._asdict(), "speed_m_per_s": 0.232}},
         "wavelengths_m": {name: {"phase": 0.3, "shape": 0.28} for name in robots},
+        "gradients": [{"start": None, "steps": 2, "score_before": -0.5, "score": -0.4,
+                       "agree_before": [], "agree": ["speed"], "facts": facts}],
         "searches": [{"objective": ALL, "start": 0, "agree": ["speed"], "facts": facts}],
         "front": [{"facts": facts, "assumptions": robots["built-in robot"]}],
         "facts": {name: facts for name in robots},
@@ -230,6 +299,7 @@ def test_each_statement_is_in_one_table_whose_rows_have_the_columns_of_the_head(
     ]
     assert sum(map(len, of_statements)) == len(judgements)
     assert tables["changes"].rows[1] == ["k", "0.02", "–", "4.8", "36.0", "23.2"]
+    assert tables["gradients"].rows[0][:6] == ["refined", "2", "-0.500", "-0.400", "0", "1"]
     (contradiction,) = [x for x in tables["printed"].rows if "slightly shorter" in x[1]]
     assert contradiction[-1] == INCONSISTENT
     (fig_9, *_) = [x for x in tables["simulated"].rows if x[0] == FIG_9]
