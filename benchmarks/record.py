@@ -1,7 +1,7 @@
 """Writes the record of a benchmark: its figures, and the machine, commit and versions behind them.
 
 `docs/generate/performance.py` makes docs/reference/performance.md from the records in
-`benchmarks/results`. To renew a figure, run its benchmark with `--out benchmarks/results/NAME.json`.
+`benchmarks/results`. To renew figures, run their benchmark with the command in their record.
 """
 
 import os
