@@ -48,7 +48,7 @@ def write_record(out: Path, figures: dict[str, Any], note: str = "") -> None:
         "processor": cpu_name(),
         "cores": os.cpu_count(),
         "load": [round(x, 2) for x in os.getloadavg()],
-        "system": platform.platform(),
+        "system": f"{platform.system()} on {platform.machine()}",
     }
     record = {
         "command": f"python {' '.join(shown)}",

@@ -208,7 +208,9 @@ def main() -> None:
         plot_growth(report["growth"], options.out.with_suffix(".png"))
     from record import write_record
 
-    write_record(options.out, report, "The smallest value of the repetitions.")
+    write_record(
+        options.out, report, "Each figure is the smallest value of the repetitions on one core."
+    )
     print(json.dumps(report, indent=1, default=float))
 
 

@@ -9,6 +9,7 @@ file for each benchmark, with the commit, the date and the machine of the measur
 import json
 from pathlib import Path
 from statistics import median
+from textwrap import fill
 from typing import Any
 
 from jinja2 import Environment, StrictUndefined
@@ -41,7 +42,7 @@ def origin_of(record: dict[str, Any]) -> str:
     return (
         f"`{record['command']}` measured the figures of this section at commit {record['commit']} "
         f"({record['date']}) on {machine['processor']}, {machine['cores']} cores "
-        f"({machine['system']}{busy})."
+        f"({machine['system']}{busy}). {record['note']}".rstrip()
     )
 
 
@@ -179,7 +180,14 @@ def render(found: dict[str, dict[str, Any]]) -> str:
         **{name: record["figures"] for name, record in found.items()},
     )
     assert used == set(found), f"records without their commit on the page: {set(found) - used}"
-    return text
+    return "\n\n".join(map(filled, text.rstrip("\n").split("\n\n"))) + "\n"
+
+
+def filled(block: str) -> str:
+    """Returns a paragraph in lines of at most 120 characters; other blocks stay unchanged."""
+    if block.startswith(("#", "|", "!", "```")):
+        return block
+    return fill(block, 120, break_long_words=False, break_on_hyphens=False)
 
 
 def main() -> None:
