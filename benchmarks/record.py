@@ -37,6 +37,10 @@ def commit() -> str:
     return git("rev-parse", "--short=8", "HEAD") + (" and changes" if changed else "")
 
 
+AT_START = commit()
+"""The sources may change while a benchmark runs."""
+
+
 def write_record(out: Path, figures: dict[str, Any], note: str = "") -> None:
     """Writes `figures`, and what they depend on, as JSON to `out`.
 
@@ -52,7 +56,7 @@ def write_record(out: Path, figures: dict[str, Any], note: str = "") -> None:
     }
     record = {
         "command": f"python {' '.join(shown)}",
-        "commit": commit(),
+        "commit": AT_START,
         "date": date.today().isoformat(),
         "machine": machine,
         "note": note,
