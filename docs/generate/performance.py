@@ -93,11 +93,12 @@ def first_calls(figures: dict[str, Any]) -> str:
     rows = [["one simulation of the benchmark's robot", time(one["cold"]), time(one["second"]), ""]]
     for name, x in figures["calls"].items():
         rows.append(
-            [f"`slider {name}`", *(time(x[k]) for k in ("cold", "second", "after_warm_up"))]
+            [f"`slider {name}`", *(time(x.get(k)) for k in ("cold", "second", "after_warm_up"))]
         )
     rows += [
         ["`slider --help`", f"{figures['help']['wall_s']} s", "", ""],
         ["`slider warm-up`", time(figures["warm_up"]), time(figures["warm_up_again"]), ""],
+        ["`slider warm-up --parts close-loop`", time(figures["warm_up_of_close_loop"]), "", ""],
     ]
     return table(head, rows)
 
