@@ -19,6 +19,8 @@ from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
+from record import write_record
+
 from calibration.measurements.synthetic import START, Truth, random_trials, write_tank
 from slider_jax import enable_float64
 from slider_jax.io.figures import new_figure, save_figure
@@ -123,6 +125,8 @@ def main() -> None:
             continue
         times[name] = run(path, path.parent / f"loop_{name.replace(' ', '_')}")
         write_json(table, times)
+    kind = "trials" if given.long else "tanks"
+    write_record(given.out / "record.json", {kind: times})
     if given.long:
         draw_growth(times, given.out / "growth.png")
     for name, x in times.items():

@@ -10,14 +10,15 @@ import argparse
 import json
 import resource
 import time
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from record import write_record
 
 from slider_jax.batch.chunks import available_cores
 from slider_jax.dynamics.step import at_rest
-from slider_jax.io.files import versions
 from slider_jax.optimise.design_space import gait_bounds, models
 from slider_jax.optimise.population import Evaluation, start_devices
 from slider_jax.precision import enable_float64
@@ -33,6 +34,7 @@ def main() -> None:
     add("--members", type=int, default=1000, help="number of swimmers (default: 1000)")
     add("--seconds", type=float, default=10.0, help="simulated time in s (default: 10)")
     add("--seed", type=int, default=0, help="seed of the random designs (default: 0)")
+    add("--out", type=Path, help="file for the record (default: none)")
     arguments = parser.parse_args()
     enable_float64()
     start_devices(available_cores())
@@ -51,7 +53,7 @@ def main() -> None:
     compiled, start = _peak(), time.perf_counter()
     speeds = evaluate(designs)
     wall = time.perf_counter() - start
-    print(json.dumps({
+    figures = {
         "members": arguments.members,
         "simulated_s_each": count / FREQUENCY,
         "failed": int(np.isnan(speeds).sum()),
@@ -60,8 +62,10 @@ def main() -> None:
         "wall_s": wall,
         "simulated_s_per_s": arguments.members * count / FREQUENCY / wall,
         "devices": len(jax.devices()),
-        "versions": versions(),
-    }, indent=1))  # fmt: skip
+    }
+    print(json.dumps(figures, indent=1))
+    if arguments.out:
+        write_record(arguments.out, figures)
 
 
 def _peak() -> float:

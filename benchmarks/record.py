@@ -1,7 +1,7 @@
 """Writes the record of a benchmark: its figures, and the machine, commit and versions behind them.
 
 `docs/generate/performance.py` makes docs/reference/performance.md from the records in
-`benchmarks/results`. To renew a figure, run its benchmark with `--out benchmarks/results/NAME.json`.
+`benchmarks/results`. To renew figures, run their benchmark with the command in their record.
 """
 
 import os
@@ -37,6 +37,10 @@ def commit() -> str:
     return git("rev-parse", "--short=8", "HEAD") + (" and changes" if changed else "")
 
 
+AT_START = commit()
+"""The sources may change while a benchmark runs."""
+
+
 def write_record(out: Path, figures: dict[str, Any], note: str = "") -> None:
     """Writes `figures`, and what they depend on, as JSON to `out`.
 
@@ -48,11 +52,11 @@ def write_record(out: Path, figures: dict[str, Any], note: str = "") -> None:
         "processor": cpu_name(),
         "cores": os.cpu_count(),
         "load": [round(x, 2) for x in os.getloadavg()],
-        "system": platform.platform(),
+        "system": f"{platform.system()} on {platform.machine()}",
     }
     record = {
         "command": f"python {' '.join(shown)}",
-        "commit": commit(),
+        "commit": AT_START,
         "date": date.today().isoformat(),
         "machine": machine,
         "note": note,

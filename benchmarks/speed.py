@@ -11,7 +11,6 @@ adds tables and a plot of the cost against the number of nodes and the batch siz
 import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -25,8 +24,10 @@ import sys; sys.path.insert(0, {here!r})
 import jax
 jax.config.update("jax_compilation_cache_dir", {cache!r})
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+from slider_jax.programs import kept_once, kept_programs
 from cases import model, run
-jax.block_until_ready(jax.jit(run)(model()))
+with kept_programs():  # as in a command
+    jax.block_until_ready(kept_once(run)(model()))
 print(time.perf_counter() - start)
 """
 
@@ -174,15 +175,6 @@ def plot_growth(table: dict, path: Path) -> None:
     figure.savefig(path, dpi=120)
 
 
-def cpu_name() -> str:
-    """Returns the processor's name, if the system reports a name."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(x.split(":")[1].strip() for x in lines if x.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor()
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
@@ -193,14 +185,11 @@ def main() -> None:
     options = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    report: dict = {"processor": cpu_name(), "load": os.getloadavg()}
+    report: dict = {}
     report["first_call"] = first_calls()
     sys.path.insert(0, str(HERE))
     from cases import SHEET
 
-    from slider_jax.io.files import versions
-
-    report["versions"] = versions()
     report["accuracy"] = {"robot": accuracy(), "sheet tail": accuracy(**SHEET)}
     report["batch_of_112"] = batch_cost(112, options.repeats)
     report["one"] = {"timed": single_cost(options.repeats), "51 nodes": single_cost(5, 51)}
@@ -217,8 +206,12 @@ def main() -> None:
     if options.growth:
         report["growth"] = growth(options.repeats)
         plot_growth(report["growth"], options.out.with_suffix(".png"))
-    options.out.write_text(json.dumps(report, indent=1, default=float) + "\n")
-    print(json.dumps({k: v for k, v in report.items() if k != "versions"}, indent=1, default=float))
+    from record import write_record
+
+    write_record(
+        options.out, report, "Each figure is the smallest value of the repetitions on one core."
+    )
+    print(json.dumps(report, indent=1, default=float))
 
 
 if __name__ == "__main__":

@@ -57,6 +57,7 @@ def main() -> None:
             "climb": ["climb"],
             "calibrate": ["calibrate", str(work / "tank" / "experiment.toml")],
             "demo": ["demo"],
+            "close-loop": ["close-loop", str(work / "tank" / "experiment.toml")],
         }
         figures: dict = {"help": timed([*slider, "--help"], cold), "calls": {}}
         one = [sys.executable, "-c", FIRST, str(work / "one")]
@@ -66,6 +67,9 @@ def main() -> None:
         figures["warm_up_again"] = timed([*slider, "warm-up"], warm)
         figures["warm_up_of_experiment"] = timed(
             [*slider, "warm-up", EXPERIMENT, "--parts", "simulate"], warm
+        )
+        figures["warm_up_of_close_loop"] = timed(
+            [*slider, "warm-up", "--parts", "close-loop"], warm
         )
         print(json.dumps(figures), flush=True)
         for name, call in calls.items():

@@ -47,6 +47,7 @@ _FUNCTION = re.compile(r"(<function .*?) at 0x[0-9a-f]+>")
 _folders: list[Path] = []
 _hits = threading.local()
 _complete: list[bool] = []
+_anew = Lock()
 
 
 @contextmanager
@@ -86,7 +87,7 @@ def compiled_programs() -> set[Path]:
 def all_programs_kept() -> Iterator[None]:
     """In a context of `kept_programs`, compiles programs again that only JAX's cache contains.
 
-    XLA cannot store a program that it has loaded. No other thread may compile in this context.
+    XLA cannot store a program that it has loaded.
     """
     _complete.append(True)
     try:
@@ -99,13 +100,14 @@ def _compiled_anew(lowered: Any) -> Any:
     """Compiles a program without JAX's cache."""
     from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
-    reset_cache()  # else JAX ignores a change of the option
-    jax.config.update("jax_enable_compilation_cache", False)
-    try:
-        return lowered.compile()
-    finally:
-        jax.config.update("jax_enable_compilation_cache", True)
-        reset_cache()
+    with _anew:
+        reset_cache()  # else JAX ignores a change of the option
+        jax.config.update("jax_enable_compilation_cache", False)
+        try:
+            return lowered.compile()
+        finally:
+            jax.config.update("jax_enable_compilation_cache", True)
+            reset_cache()
 
 
 @cache

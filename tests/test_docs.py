@@ -6,7 +6,7 @@ from pathlib import PurePosixPath
 
 import pytest
 
-from docs.generate import api, command_line, effects, file_formats, gallery, tutorials
+from docs.generate import api, command_line, effects, file_formats, gallery, performance, tutorials
 from slider_jax.cli.commands import COMMANDS, function_of
 from slider_jax.cli.main import find
 from slider_jax.cli.parse import call_of
@@ -125,6 +125,25 @@ def test_the_gallery_shows_every_command_and_its_commands_are_valid():
 
 def test_the_tutorials_are_those_of_the_notebooks():
     assert tutorials.outdated() == [], "run python docs/generate/tutorials.py"
+
+
+def test_the_page_on_performance_is_that_of_the_records():
+    found = performance.records()
+    page = WRITTEN["reference/performance.md"]
+    assert page == performance.render(found), "run python docs/generate/performance.py"
+    for record in found.values():
+        assert record["commit"] and record["date"] and record["machine"]["processor"]
+        assert f"at commit {record['commit']} ({record['date']})" in " ".join(page.split())
+    found["speed"]["figures"]["gradient_ratio"] = 1.234
+    assert "| 1.234 |" in performance.render(found)
+
+
+def test_a_record_without_its_commit_on_the_page_is_refused(monkeypatch, tmp_path):
+    text = (ROOT / "docs" / "generate" / performance.TEMPLATE).read_text()
+    (tmp_path / "page.j2").write_text(text.replace('{{ origin("sharing") }}', ""))
+    monkeypatch.setattr(performance, "TEMPLATE", tmp_path / "page.j2")
+    with pytest.raises(AssertionError, match="without their commit on the page: {'sharing'}"):
+        performance.render(performance.records())
 
 
 def test_pictures_are_small():

@@ -11,12 +11,32 @@ from calibration.cli import warm_up
 from slider_jax.cli.main import main
 from slider_jax.experiment.load import load
 from slider_jax.programs import FOLDER
-from tests.slider_jax.sweep.test_sweep import EXPERIMENT
 from tests.support.data import ROOT
 
-SQUARE = EXPERIMENT.split('[[trials]]\nfile = "trial_01')[0].replace(
-    "duration = 1.0", "duration = 0.4"
-)
+HEAD = """
+name = "tiny"
+[robot]
+body_length = 0.3
+tail_length = 0.07
+linear_density = 0.7
+EI_body = 0.038
+EI_tail = 0.0058
+damping_time = 0.002
+height = 0.03
+front_chamber = [0.02, 0.145]
+rear_chamber = [0.155, 0.28]
+[parameters]
+C_d = 3.0
+m_a = 1.0
+k = 0.087
+K_Q = 4.79e-7
+[numerics]
+nodes = 11
+[[trials]]
+file = "trial_00.csv"
+"""
+SQUARE = f"{HEAD}frequency = 4.8\namplitude = 250000.0\nduration = 0.4\n"
+RECORDED = f'{HEAD}waveform = "recorded"\ndrive_file = "pressure.csv"\nduration = 1.0\n'
 
 
 def test_each_part_is_reported_and_finished_parts_are_kept(monkeypatch, capsys):
@@ -51,8 +71,7 @@ def test_without_the_cache_nothing_is_compiled(monkeypatch, capsys):
 
 def test_recorded_drives_are_refused(tmp_path):
     path = tmp_path / "tank.toml"
-    head, _, recorded = EXPERIMENT.partition('[[trials]]\nfile = "trial_01')
-    path.write_text(f'{head.split("[[trials]]")[0]}[[trials]]\nfile = "trial_01{recorded}')
+    path.write_text(RECORDED)
     with pytest.raises(warm_up.InputError, match="all drives are recordings"):
         warm_up._measured(tmp_path, path)
 

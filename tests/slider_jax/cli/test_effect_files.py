@@ -105,7 +105,7 @@ def test_every_command_that_simulates_an_experiment_has_the_option(capsys):
             main([*name.split(), "--help"])
         if "--effects FILE.py" in capsys.readouterr().out:
             with_option.add(name)
-    without = {"demo", "export", "statics", "lamprey", "published"}
+    without = {"demo", "export", "statics", "lamprey", "published", "warm-up"}
     without |= {"calibrate manifold", "calibrate statics"}
     rig = {"rig ports", "rig check", "rig run", "rig log", "rig replay"}
     assert set(COMMANDS) - with_option == without | rig
