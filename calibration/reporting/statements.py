@@ -28,7 +28,7 @@ class TextTable(NamedTuple):
 def statement_tables(record: dict[str, Any]) -> dict[str, TextTable]:
     """Returns the tables of published.json, by name; `record` is the content of the file."""
     built_in, joint = record["settings"]["assumptions"].values()
-    waves = record["wavelengths_m"]
+    waves, refined = record["wavelengths_m"], record["refined"]
     changeable = [name for name in record["ranges"] if name not in ("EA", "damping_time")]
     return _of_statements(record["statements"]) | {
         "tolerances": TextTable(
@@ -81,12 +81,11 @@ def statement_tables(record: dict[str, Any]) -> dict[str, TextTable]:
              for x in record["searches"]],
         ),
         "gradients": TextTable(
-            "Gradient steps from the best sets, on the mesh of the other tables", "",
+            "Gradient steps from the best set, on the mesh of the other tables", "",
             ["start", "steps", "score before", "score", "agree before", "agree", *FACTS],
-            [["refined" if x["start"] is None else str(x["start"]), str(x["steps"]),
-              f"{x['score_before']:.3f}", f"{x['score']:.3f}", str(len(x["agree_before"])),
-              str(len(x["agree"])), *_facts(x["facts"])]
-             for x in record["gradients"]],
+            [[str(refined["start"]), str(refined["steps"]), f"{refined['score_before']:.3f}",
+              f"{refined['score']:.3f}", str(len(refined["agree_before"])),
+              str(len(refined["agree"])), *_facts(refined["facts"])]],
         ),
         "front": TextTable(
             "Head-fixed thrust against tail amplitude",

@@ -21,7 +21,7 @@ WIDTH = 900
 """Width of a picture [pixels]."""
 COLUMNS = {"simulated": 6, "front": 4}
 """Number of columns that the page shows, for tables with more columns."""
-NOT_SHOWN = ("tolerances", "others", "gradients")
+NOT_SHOWN = ("tolerances", "others")
 
 
 def markdown(table: TextTable, columns: int | None) -> str:

@@ -33,10 +33,6 @@ OBJECTIVES: dict[str, tuple[str, ...]] = {
 """Statements that each search counts."""
 
 
-NARROW = 0.05
-"""Initial standard deviation of a refining search, as a fraction of the ranges."""
-
-
 class Effort(NamedTuple):
     """Settings of a search by CMA-ES, which starts at a random point of the ranges."""
 
@@ -47,9 +43,8 @@ class Effort(NamedTuple):
     """Number of generations for all statements."""
     of_groups: int = 20
     """Number of generations for the two groups of statements."""
-    refining_population: int = 16
-    refining: int = 20
-    """Number of generations with `FINE`, from the best set of all searches."""
+    steps: int = 12
+    """Largest number of gradient steps with `FINE`, from the best set of all searches."""
 
     def searches(self) -> list[tuple[str, int]]:
         """Returns objective and start of each search."""
@@ -118,17 +113,10 @@ def search(
     effort: Effort,
     folder: Path,
     on_generation: Callable[[Generation, float], None] = lambda generation, seconds: None,
-    refine: np.ndarray | None = None,
 ) -> OptimisationResult:
-    """Returns the result of one search; an interrupted search resumes from its checkpoint.
-
-    The search starts at `random_start`, or near the point `refine` with a small spread.
-    """
+    """Returns the result of one search; an interrupted search resumes from its checkpoint."""
     counted = OBJECTIVES[objective]
-    if refine is None:
-        optimiser = cma_es(effort.population, len(RANGES), random_start(start))
-    else:
-        optimiser = cma_es(effort.population, len(RANGES), refine, NARROW)
+    optimiser = cma_es(effort.population, len(RANGES), random_start(start))
 
     def evaluate(points: np.ndarray, gradients: bool):
         return np.array([agreement_score(x, counted) for x in simulate(points)]), None
@@ -137,7 +125,6 @@ def search(
         "objective": objective,
         "ranges": {name: [x.low, x.high, x.log] for name, x in RANGES.items()},
         "statements": {name: [SIMULATED[name].low, SIMULATED[name].high] for name in counted},
-        "refine": None if refine is None else refine.tolist(),
         "nodes": simulate.at.search.numerics.nodes,
         **provenance(),
     }
@@ -243,7 +230,7 @@ def ascend(
     return Ascent(point, scores, first, last)
 
 
-def ascent_record(objective: str, start: int | None, x: Ascent) -> dict[str, Any]:
+def ascent_record(objective: str, start: int, x: Ascent) -> dict[str, Any]:
     """Returns the record of gradient steps from the best set of a search."""
     return record_of(objective, start, x.point, x.scores[-1], x.last) | {
         "score_before": x.scores[0],
@@ -261,7 +248,7 @@ def _values(point: Sequence[float] | np.ndarray) -> dict[str, float]:
 
 
 def record_of(
-    objective: str, start: int | None, best: np.ndarray, score: float, reached: dict[str, float]
+    objective: str, start: int, best: np.ndarray, score: float, reached: dict[str, float]
 ) -> dict[str, Any]:
     """Returns the record of one search in joint_fit.json; `reached` are the facts at `best`."""
     return {
@@ -288,23 +275,22 @@ def witness(name: str, by_point: dict[tuple[float, ...], dict[str, float]]) -> t
 
 def summary(
     searches: list[tuple[str, int, OptimisationResult]],
-    refined: tuple[OptimisationResult, dict[str, float]],
+    refined: dict[str, Any],
     evaluated: list[dict[str, Any]],
     effort: Effort,
 ) -> dict[str, Any]:
     """Returns the content of joint_fit.json.
 
-    `searches` are (objective, start, result). `refined` is the refining search and the facts at
-    its best set. `evaluated` are the rows of `Simulator`'s file.
+    `searches` are (objective, start, result). `refined` is the `ascent_record` from the best set of
+    the searches. `evaluated` are the rows of `Simulator`'s file.
     """
     by_point = {tuple(row["point"]): row["facts"] for row in evaluated}
     agreeing = {
         name: sum(one.agrees(row[one.fact]) for row in by_point.values())
         for name, one in SIMULATED.items()
     }
-    final, reached = refined
     return {
-        "refined": record_of(ALL, None, final.best, final.score, reached),
+        "refined": refined,
         "evaluated": len(by_point),
         "agreeing": agreeing,
         "witnesses": {name: _values(witness(name, by_point)) for name in SIMULATED},

@@ -117,7 +117,7 @@ def write_comparison(
         "head_drag": parts.get("head drag", partial(_head_drags, built_in, speeds)),
         "multimodal": front,
         "searches": searched["searches"],
-        "gradients": searched.get("gradients", []),
+        "refined": searched["refined"],
         "front": searched["front"],
         "evaluated": searched["evaluated"],
         "settings": settings,

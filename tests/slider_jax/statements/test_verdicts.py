@@ -12,11 +12,13 @@ from slider_jax.statements.joint_fit import (
     ALL,
     COUNTED,
     OBJECTIVES,
+    Ascent,
     Effort,
     Simulator,
     Slopes,
     agreement_score,
     ascend,
+    ascent_record,
     front,
     misses,
     search,
@@ -164,16 +166,15 @@ def test_a_search_resumes_and_its_summary_has_the_best_set(tmp_path):
     found = search(bowl, ALL, 0, effort, tmp_path / "a")
     whole = search(Bowl(), ALL, 0, effort, tmp_path / "b")
     assert isinstance(found, OptimisationResult) and found.score == whole.score
-    refined = search(
-        bowl, ALL, 0, Effort(population=8, generations=2), tmp_path / "c", refine=found.best
-    )
-    facts = Bowl()(refined.best[None])[0]
-    content = summary([(ALL, 0, found)], (refined, facts), bowl.rows, effort)
+    (facts,) = Bowl()(found.best[None])
+    better = np.clip(found.best, 0.1, 0.9)
+    refined = ascent_record(ALL, 0, Ascent(better, [-0.2, -0.1], facts, facts))
+    content = summary([(ALL, 0, found)], refined, bowl.rows, effort)
     (record,) = content["searches"]
-    assert content["evaluated"] == (6 + 2) * 8 and record["score"] == found.score
-    best = fitted_assumptions(content)
-    assert to_unit(best) == pytest.approx(refined.best)
-    assert content["refined"]["agree"] == record["agree"]
+    assert content["evaluated"] == 6 * 8 and record["score"] == found.score
+    assert to_unit(fitted_assumptions(content)) == pytest.approx(better)
+    assert content["refined"]["agree"] == content["refined"]["agree_before"] == record["agree"]
+    assert content["refined"]["score"] == -0.1 and content["refined"]["steps"] == 1
 
 
 def test_gradient_steps_reach_the_best_set_within_the_ranges():
@@ -265,8 +266,8 @@ def record_of(judgements):
         "ranges": {name: x._asdict() for name, x in RANGES.items()},
         "optimum": {"paper": {"gait": PAPER_GAIT._asdict(), "speed_m_per_s": 0.232}},
         "wavelengths_m": {name: {"phase": 0.3, "shape": 0.28} for name in robots},
-        "gradients": [{"start": None, "steps": 2, "score_before": -0.5, "score": -0.4,
-                       "agree_before": [], "agree": ["speed"], "facts": facts}],
+        "refined": {"start": 4, "steps": 2, "score_before": -0.5, "score": -0.4,
+                    "agree_before": [], "agree": ["speed"], "facts": facts},
         "searches": [{"objective": ALL, "start": 0, "agree": ["speed"], "facts": facts}],
         "front": [{"facts": facts, "assumptions": robots["built-in robot"]}],
         "facts": {name: facts for name in robots},
@@ -299,7 +300,7 @@ def test_each_statement_is_in_one_table_whose_rows_have_the_columns_of_the_head(
     ]
     assert sum(map(len, of_statements)) == len(judgements)
     assert tables["changes"].rows[1] == ["k", "0.02", "–", "4.8", "36.0", "23.2"]
-    assert tables["gradients"].rows[0][:6] == ["refined", "2", "-0.500", "-0.400", "0", "1"]
+    assert tables["gradients"].rows[0][:6] == ["4", "2", "-0.500", "-0.400", "0", "1"]
     (contradiction,) = [x for x in tables["printed"].rows if "slightly shorter" in x[1]]
     assert contradiction[-1] == INCONSISTENT
     (fig_9, *_) = [x for x in tables["simulated"].rows if x[0] == FIG_9]
