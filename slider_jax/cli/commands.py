@@ -48,7 +48,7 @@ COMMANDS = {
         "slider_jax.cli.swim:climb", "simulates a robot that climbs a wall in air", effects=True
     ),
     "transition": Subcommand(
-        "slider_jax.cli.transition:transition",
+        "slider_jax.cli.swim:transition",
         "simulates a robot that swims to a wall and climbs out of the water",
         effects=True,
     ),
@@ -62,6 +62,10 @@ COMMANDS = {
     "optimize multimodal": Subcommand(
         "slider_jax.cli.optimize:optimize_multimodal",
         "optimises one tail for both swimming and climbing",
+    ),
+    "optimize transition": Subcommand(
+        "slider_jax.cli.optimize:optimize_transition",
+        "optimises the gait's schedule and the tail on the way from the water to the wall",
     ),
     "close-loop": Subcommand(
         "calibration.cli.close_loop:close_loop",

@@ -1,4 +1,4 @@
-"""`slider optimize`: optimises the speed of a swimmer, or one tail for swimming and climbing."""
+"""`slider optimize`: optimises a swimmer, one tail for two tasks, or the way to the wall."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from slider_jax.cli.commands import function_of
 from slider_jax.cli.options import EffectFiles, Folder, MaybeExperiment, ModelFile, Range, Whole
 from slider_jax.errors import InputError
 
@@ -17,24 +18,27 @@ Address = Annotated[str, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Options of `slider optimize swim` and `slider optimize multimodal`.
+    """Options of all optimisations.
 
     Args:
         experiment: experiment file (.toml) with the properties of robot and water that are not
-            optimised. The first trial must have a square wave (default: the paper's robot. With
-            the head's form drag, the paper's optimum has the measured speed).
+            optimised. The first trial must have a square wave (default: the paper's robot, with
+            the head's form drag fitted to the measured speed). `transition` needs a table
+            [transition] instead; its schedule is replaced.
         model: TOML file. Its keys of [robot] and [parameters] replace the experiment's keys, and
             its [[effects]] are added.
         population: number of individuals in a generation. In `multimodal`, an optimisation that
             starts from a known design uses a quarter of this number.
         generations: total number of generations, including generations before an interruption. In
             `multimodal`, an optimisation that starts from a known design uses half of this number.
+            In `transition`, each part alone uses half of this number.
         seed: seed of the random numbers.
         resume: continue an interrupted optimisation in DIR.
         tail_length: bounds of the tail's length, in m (default: 0.02 0.1).
         EI_tail: bounds of the tail's bending stiffness, in N m^2 (default: 0.001 0.038).
         steps_per_stride: number of time steps in a swimming stride, an even number. A climbing
-            stride has one third more time steps than this number.
+            stride has one third more time steps than this number. `transition` uses numerics.step
+            instead.
         coordinator: host and port at which the first of several connected processes listens.
             Processes that share DIR need no connection (default: none).
         processes: number of connected processes.
@@ -55,8 +59,12 @@ class SearchOptions:
     process: Whole = 0
     effects: EffectFiles = ()
 
-    def start(self):
-        """Checks the options, starts JAX on all cores and returns the experiment."""
+    def start(self, default: str = "slider_jax.swimming.paper_optimum:optimum"):
+        """Checks the options, starts JAX on all cores and returns the experiment.
+
+        `default` is the function, written as `module:function`, that returns the experiment if none
+        is given.
+        """
         from slider_jax.batch.chunks import available_cores
         from slider_jax.optimise.population import start_devices
 
@@ -76,10 +84,10 @@ class SearchOptions:
             raise InputError.value("--seed", self.seed, "0 to 4294967295")
         start_devices(available_cores(), self.coordinator, self.processes, self.process)
         from slider_jax.effects.library import load_all_effects
-        from slider_jax.swimming.paper_optimum import given_or, optimum
+        from slider_jax.swimming.paper_optimum import given_or
 
         load_all_effects(self.effects)  # computes with JAX, so it follows `start_devices`
-        return given_or(optimum, self.experiment, self.model)
+        return given_or(function_of(default), self.experiment, self.model)
 
     def inputs(self) -> list[dict[str, Any]]:
         """Returns paths and checksums of the input files."""
@@ -248,5 +256,47 @@ def optimize_multimodal(
         content = write_front(modes, found, effort._asdict(), out, search.inputs())
         print("\n".join(front_summary(content)))
         print(f"wrote multimodal.json, multimodal.png and experiments to {out}", file=sys.stderr)
+
+    write_in_one_process(write)
+
+
+def optimize_transition(
+    search: SearchOptions = SearchOptions(population=16, generations=40), *, out: Folder
+) -> None:
+    """Optimises the schedule of the gait and the tail on the way from the water to the wall.
+
+    The robot swims with one gait and climbs with another gait and the same tail. The variables are
+    frequency, set pressures and phase of both gaits, the time of the switch, the phase of the
+    grips, and the length and stiffness of the tail. The command maximises the mean speed to the
+    goal of the table [transition] by CMA-ES, after it has optimised swimming alone and climbing
+    alone. DIR then contains optimum.json (designs, times, histories, settings), optimum.png and
+    best.toml, which is an experiment for `slider transition`. Each part has a folder with a
+    checkpoint.
+
+    Args:
+        out: folder for the results; created if missing.
+    """
+    experiment = search.start("slider_jax.transition.example:example_crosser")
+    from slider_jax.io.files import output_folder
+    from slider_jax.optimise import transition_search
+
+    tail = {"tail_length": search.tail_length, "EI_tail": search.EI_tail}
+    task = transition_search.CrossingTask.of(experiment, tail)
+    effort = transition_search.CrossingEffort(search.population, search.generations, search.seed)
+    output_folder(out)
+    report, write_in_one_process = _reporter(), _writer(out, "optimum.json")
+
+    def on_generation(part: str, generation, seconds: float) -> None:
+        text = f"best {1e2 * generation.best:.2f} cm/s, mean {1e2 * generation.mean:.2f}"
+        report(generation, seconds, text, effort.of(part), part)
+
+    with _resumable(out):
+        found = transition_search.search_crossing(task, effort, out, search.resume, on_generation)
+
+    def write() -> None:
+        print("simulating the best design on a refined mesh ...", file=sys.stderr)
+        content = transition_search.write_crossing(task, found, effort, out, search.inputs())
+        print("\n".join(transition_search.crossing_summary(content)))
+        print(f"wrote best.toml, optimum.json and optimum.png to {out}", file=sys.stderr)
 
     write_in_one_process(write)

@@ -1,201 +1,216 @@
-"""Simulates the way of one robot from the water to the wall, and tells where it fails and why."""
+"""Simulates the way from the water to the wall, as pure functions of model and time.
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+The x axis points up, and the head starts at the origin. The energy balance from the start is
+
+    W = E + G + R + D + S + error of the time steps
+
+W is the work of the chambers, E the kinetic and elastic energy, G the energy given to weight and
+buoyancy, R the energy given to the water, D the energy that the body's viscosity and its other
+effects dissipate, and S the energy given to the spines.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jaxtyping import Array, Float
 
-from slider_jax.dynamics.step import at_rest
-from slider_jax.experiment.load import Experiment, to_numerics
+from slider_jax import observables as obs
+from slider_jax.actuation import ScheduledSquareWave, rear_of
+from slider_jax.beam.clock import Clock
+from slider_jax.beam.parameters import G, Numerics, Scalar
+from slider_jax.beam.state import fields, to_plane
+from slider_jax.beam.waterline import Waterline
+from slider_jax.dynamics.model import Drive, Model
+from slider_jax.dynamics.residual import forces_and_states, turning_rate
+from slider_jax.dynamics.rollout import TimeGrid, continued
+from slider_jax.dynamics.step import Carry, Snapshot
+from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
+from slider_jax.effects import Gravity, WaterMotion, total_force
+from slider_jax.effects.base import Mounting
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import Experiment, to_model
 from slider_jax.experiment.transition_table import TransitionTable
-from slider_jax.supports.gripping import HOLDING, LOST
-from slider_jax.transition.course import CourseSettings, continue_course, to_crosser
-
-BLOCK = 1.0
-"""Duration [s] that is simulated at once."""
-DRY = 1e-9
-"""Wet fraction below which the robot is out of the water."""
-STALLED = 2e-3
-"""Speed [m/s] of the climb below which the robot does not climb: a tenth of the built-in climb."""
-LAST = 5.0
-"""Duration [s] at the end over which the failure is judged."""
+from slider_jax.supports import GrippingLink, Spines
+from slider_jax.water import WaterField
 
 
-@dataclass(frozen=True)
-class CourseRun:
-    """Result of a way from the water to the wall, as NumPy arrays."""
+class GaitSchedule(NamedTuple):
+    """The gait at increasing times, in SI units; every field has the shape (knots,).
 
-    table: TransitionTable
-    settings: CourseSettings
-    series: Any
-    """`CourseSeries` of all time steps until the goal, the end or the failed step."""
-    ok: bool
-    """Whether all time steps converged."""
-
-    @property
-    def times(self) -> np.ndarray:
-        """Time [s] at the end of each time step."""
-        return self.settings.step * np.arange(1.0, len(self.series.angle) + 1.0)
-
-    def first(self, holds: np.ndarray) -> float | None:
-        """Returns the first time [s] at which `holds` is true, or None."""
-        return float(self.times[np.argmax(holds)]) if holds.any() else None
-
-    @property
-    def reached(self) -> float | None:
-        """Time [s] at which the head reaches the goal; None if it does not, or if a step failed."""
-        return None if not self.ok else self.first(self.series.head[:, 0] >= self.table.height)
-
-    @property
-    def gripped(self) -> float | None:
-        """Time [s] of the first grip; None without a grip."""
-        return self.first((self.series.status == HOLDING).any(axis=1))
-
-    @property
-    def left_water(self) -> float | None:
-        """Time [s] from which on the robot is out of the water; None if it is wet at the end."""
-        wet = np.nonzero(self.series.wet > DRY)[0]
-        if len(wet) == 0:
-            return 0.0
-        return None if wet[-1] == len(self.times) - 1 else float(self.times[wet[-1] + 1])
-
-    @property
-    def pulled_off(self) -> int:
-        """Number of grips that were lost."""
-        lost = self.series.status == LOST
-        return int(np.count_nonzero(lost[1:] & ~lost[:-1]))
-
-
-_more = eqx.filter_jit(continue_course)
-
-
-def course_settings(experiment: Experiment) -> CourseSettings:
-    """Returns the experiment's mesh, time step and scheme, in blocks of `BLOCK` seconds."""
-    numerics, scheme = to_numerics(experiment)
-    step = experiment.numerics.step
-    return CourseSettings(step, max(1, round(BLOCK / step)), numerics, scheme)
-
-
-def simulate_transition(
-    experiment: Experiment, progress: Callable[[int, int], None] = lambda done, total: None
-) -> CourseRun:
-    """Simulates the table [transition] of an experiment until the goal, a failed step or the end.
-
-    `progress(done, all)` receives the simulated time in blocks. Raises `InputError` as `to_crosser`
-    does. A failed time step is a part of the result.
+    The fields are those of `GaitAt`. Between the times, all values are linear.
     """
-    model, settings = to_crosser(experiment), course_settings(experiment)
+
+    time: Array
+    frequency: Array
+    front: Array
+    rear: Array
+    phase: Array
+    bias: Array
+    grip_phase: Array
+
+
+def schedule_of(table: TransitionTable) -> GaitSchedule:
+    """Returns the schedule of a table [transition]."""
+    return GaitSchedule(
+        *(jnp.array([getattr(x, name) for x in table.schedule], float)
+          for name in GaitSchedule._fields)
+    )  # fmt: skip
+
+
+class CrossingSettings(NamedTuple):
+    """Numerical settings on the way."""
+
+    step: float
+    """Length of a time step [s]."""
+    block: int
+    """Number of time steps that are simulated at once."""
+    numerics: Numerics
+    scheme: Scheme = SDIRK2
+
+
+class CrossingSeries(eqx.Module):
+    """The way, sampled at the end of each time step. The x axis points up from the surface."""
+
+    head: Float[Array, "steps 2"]
+    """Place (up, left) [m] of the head, from the surface above the start."""
+    centre: Float[Array, "steps 2"]
+    """Centre of mass (up, left) [m]."""
+    midline: Float[Array, "steps 2 nodes"]
+    """Midlines (up, left) [m], from tail to head."""
+    angle: Float[Array, " steps"]
+    """Angle of the head [rad] to the upward direction, positive to the left."""
+    wet: Float[Array, " steps"]
+    """Fraction [-] of the robot's length that is wet."""
+    status: Float[Array, "steps 2"]
+    """Status of the left and the right grip; see `slider_jax.supports.gripping`."""
+    load: Float[Array, "steps 2"]
+    """Force [N] of the left and the right grip."""
+    power: Float[Array, " steps"]
+    """Power [W] of the chambers on the body."""
+    to_weight: Float[Array, " steps"]
+    """Power [W] that the body gives to its weight and buoyancy."""
+    to_water: Float[Array, " steps"]
+    """Power [W] that the body gives to the water."""
+    to_body: Float[Array, " steps"]
+    """Power [W] that the body's viscosity and its other effects dissipate."""
+    to_spines: Float[Array, " steps"]
+    """Power [W] that the cross-link gives to the spines."""
+    stored: Float[Array, " steps"]
+    """Kinetic and elastic energy [J]."""
+
+
+def to_crosser(experiment: Experiment) -> Model:
+    """Returns the model of the robot on its way from the water to the wall.
+
+    Weight and buoyancy replace the effect `gravity` of the file; the clamp of the carriage is
+    omitted. Raises `InputError` without a table [transition] or without a density of the robot, and
+    for effects that move the water or add inertia without weight.
+    """
     table = experiment.transition
-    assert table is not None
-    carry, parts = at_rest(model, settings.numerics), []
-    span = settings.step * settings.block
-    blocks = int(np.ceil(table.duration / span))
-    for number in range(blocks):
-        carry, part = _more(model, carry, jnp.asarray(number * span), settings)
-        part = jax.device_get(part)
-        parts.append(part)
-        progress(number + 1, blocks)
-        if not bool(carry.ok) or (part.head[:, 0] >= table.height).any():
-            break
-    series = jax.tree.map(lambda *x: np.concatenate(x), *parts)
-    above = series.head[:, 0] >= table.height
-    count = len(above)
-    if not bool(carry.ok):
-        count = max(1, int(float(carry.failed_at) / settings.step))
-    elif above.any():
-        count = int(np.argmax(above)) + 1
-    return CourseRun(table, settings, jax.tree.map(lambda x: x[:count], series), bool(carry.ok))
-
-
-def outcome(run: CourseRun) -> tuple[str, str]:
-    """Returns the phase in which the robot ends, and a sentence about the success or the failure.
-
-    The phases are "goal", "swimming", "gripping", "leaving the water" and "climbing".
-    """
-    x, table = run.series, run.table
-    end = float(run.times[-1])
-    highest = float(x.head[:, 0].max())
-    if run.reached is not None:
-        return "goal", f"the head is {table.height:g} m above the water after {run.reached:.2f} s"
-    failed = "" if run.ok else f"a time step did not converge at {end:.3f} s; "
-    last = min(LAST, 0.5 * end)
-    recent = run.times > end - last
-    first = int(np.argmax(recent))
-    speed = float(x.head[-1, 0] - x.head[first, 0]) / last
-    if run.gripped is None:
-        below = max(0.0, table.wall_from - highest)
-        turned = abs(float(x.angle[-1])) > 0.5 * np.pi
-        why = "the robot turned away from the wall" if turned else "the robot was too slow"
-        if below == 0.0:
-            why = "no end of the cross-link was on the wall while it was commanded to grip"
-        return "swimming", (
-            f"{failed}no grip within {end:.1f} s: {why}; its head came to {below:.3f} m below the "
-            "wall's edge"
+    if table is None:
+        raise InputError(
+            "transition: missing; add the table [transition] with the depth at the start and the "
+            "gait's schedule to the experiment file"
         )
-    holding = float((x.status[recent] == HOLDING).any(axis=1).mean())
-    load = float(x.load.max())
-    limit = table.spines.friction * table.spines.preload
-    if run.pulled_off and holding < 0.5:
-        return "gripping", (
-            f"{failed}the wall was lost: {run.pulled_off} grips exceeded the pull-off force of "
-            f"{table.spines.pull_off:g} N"
+    model = to_model(experiment, 0)
+    if isinstance(model.water, WaterField) or any(experiment.water.velocity):
+        raise InputError("water: given moving water; allowed is still water below the surface")
+    if not experiment.robot.has_density:
+        raise InputError(
+            "robot.density: missing; give the robot's mean density, which sets its buoyancy"
         )
-    if holding < 0.5:
-        return "gripping", (
-            f"{failed}the robot left the wall's lower edge; the ends held it for "
-            f"{100.0 * holding:.0f} % of the last {last:.1f} s"
-        )
-    phase = "leaving the water" if run.left_water is None else "climbing"
-    slides = f"; the spines slip at {limit:g} N" if load > 0.98 * limit else ""
-    if not speed > STALLED:
-        pace = f"the robot does not climb ({1e3 * speed:.1f} mm/s in the last {last:.1f} s)"
-    else:
-        pace = f"the time is too short: the robot still climbs at {1e3 * speed:.1f} mm/s"
-    wet = f"{100.0 * float(x.wet[-1]):.0f} % of the robot is wet"
-    return phase, f"{failed}{pace}; its head is at {x.head[-1, 0]:.3f} m and {wet}{slides}"
-
-
-def energies(run: CourseRun) -> dict[str, float]:
-    """Returns the work of the chambers [J] and its parts, after the first time step."""
-    x, h = run.series, run.settings.step
-    work, weight, water, body, spines = (
-        float(np.trapezoid(v, dx=h))
-        for v in (x.power, x.to_weight, x.to_water, x.to_body, x.to_spines)
+    for effect in model.effects:
+        if isinstance(effect, WaterMotion) or effect.lacks_weight:
+            why = "moves the water" if isinstance(effect, WaterMotion) else "has no weight"
+            raise InputError(f"effects: given {effect.name()}, which {why}; remove this effect")
+    kept = [e for e in model.effects if not isinstance(e, (Mounting, Gravity))]
+    weight = Gravity(G, density=experiment.robot.water_density)
+    spines = Spines(**table.spines.model_dump())
+    schedule = schedule_of(table)
+    link = GrippingLink(
+        spines,
+        Clock(schedule.time, schedule.frequency),
+        table.link,
+        wall_from=table.depth + table.wall_from,
+        speed=table.start_speed,
+        heading=table.heading,
     )
-    stored = float(x.stored[-1] - x.stored[0])
-    return {
-        "work_J": work,
-        "positive_work_J": float(np.trapezoid(np.maximum(x.power, 0.0), dx=h)),
-        "to_weight_and_buoyancy_J": weight,
-        "to_water_J": water,
-        "to_body_J": body,
-        "to_spines_J": spines,
-        "stored_J": stored,
-        "unaccounted_J": work - weight - water - body - spines - stored,
-    }
+    model = eqx.tree_at(
+        lambda m: (m.effects, m.support, m.water, m.waterline),
+        model,
+        ((*kept, weight), link, (0.0, 0.0), Waterline(table.depth, 0.0, table.thickness)),
+        is_leaf=lambda x: x is None,
+    )
+    model = with_schedule(model, schedule)
+    return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
 
-def transition_record(run: CourseRun) -> dict[str, Any]:
-    """Returns the results for JSON in SI units; each name ends in its unit."""
-    x = run.series
-    phase, text = outcome(run)
-    return {
-        "outcome": phase,
-        "reason": text,
-        "time_to_grip_s": run.gripped,
-        "time_to_leave_water_s": run.left_water,
-        "time_to_goal_s": run.reached,
-        "end_s": float(run.times[-1]),
-        "height_at_end_m": float(x.head[-1, 0]),
-        "highest_m": float(x.head[:, 0].max()),
-        "wet_at_end": float(x.wet[-1]),
-        "largest_load_N": float(x.load.max()),
-        "grips_lost": run.pulled_off,
-        "energy": energies(run),
-        "steps_per_s": 1.0 / run.settings.step,
-        "nodes": run.settings.numerics.nodes,
-    }
+def with_schedule(model: Model, schedule: GaitSchedule) -> Model:
+    """Returns the crosser with another schedule; differentiable in the schedule's values."""
+    assert isinstance(model.support, GrippingLink)
+    clock = Clock(schedule.time, schedule.frequency)
+    waves = tuple(
+        ScheduledSquareWave(
+            clock, (1.0 - r) * schedule.front + r * schedule.rear, r * schedule.phase, schedule.bias
+        )
+        for r in rear_of(len(model.robot.chambers))
+    )
+    link = eqx.tree_at(
+        lambda x: (x.clock, x.phase), model.support, (clock, schedule.grip_phase),
+    )  # fmt: skip
+    return eqx.tree_at(lambda m: (m.drive, m.support), model, (Drive(waves), link))
+
+
+def _saved(x: Snapshot) -> CrossingSeries:
+    section, grid, link, line = x.section(), x.mesh.grid, x.stage.support, x.stage.immersion
+    assert isinstance(link, GrippingLink) and line is not None
+    head = fields(x.y[:, -1])
+    omega = turning_rate(head, x.stage)
+    midline = obs.midline(x)
+    stretch = 1.0 + section.strain
+
+    def given(force):
+        F_tau, F_n = force
+        return -grid.integral(stretch * (F_tau * section.V_tau + F_n * section.V_n))
+
+    effects = x.stage.effects
+    weight = tuple(e for e in effects if isinstance(e, Gravity))
+    others = tuple(e for e in effects if not isinstance(e, Gravity))
+    of_water, moments, _ = forces_and_states(section, replace(x.stage, effects=others))
+    damped = section.EI * section.kappa_t**2 + section.EA * section.strain_t**2
+    forces, grips = link.grips(head, omega)
+    ends = jnp.stack(
+        [jnp.stack(to_plane(head.V_tau - arm * omega, head.V_n, head.phi)) for arm in link.arms()]
+    )
+    mass = grid.integral(section.linear_density)
+    return CrossingSeries(
+        head=x.head,
+        centre=grid.integral(section.linear_density * grid.mid(midline)) / mass,
+        midline=midline,
+        angle=head.phi,
+        wet=grid.integral(line.wet) / grid.integral(jnp.ones_like(line.wet)),
+        status=grips.status,
+        load=grips.load,
+        power=jnp.sum(obs.chamber_power(x)),
+        to_weight=given(total_force(weight, section)),
+        to_water=given(of_water),
+        to_body=grid.integral(section.damping_time * damped + moments * section.kappa_t),
+        to_spines=-jnp.sum(forces * ends),
+        stored=obs.stored_energy(x).total,
+    )
+
+
+def continue_crossing(
+    model: Model, carry: Carry, t0: Scalar, settings: CrossingSettings
+) -> tuple[Carry, CrossingSeries]:
+    """Simulates a block of time steps that starts at `t0` [s]; heights are from the surface."""
+    assert model.waterline is not None
+    times = TimeGrid(settings.step, settings.block, t0)
+    run = continued(carry, model, times, _saved, settings.numerics, settings.scheme)
+    level = jnp.stack([jnp.asarray(model.waterline.level, float), jnp.zeros(())])
+    saved = run.saved
+    moved = saved.head - level, saved.centre - level, saved.midline - level[:, None]
+    return run.final, eqx.tree_at(lambda s: (s.head, s.centre, s.midline), saved, moved)

@@ -24,7 +24,8 @@ def example_crosser() -> Experiment:
         "parameters": {"C_d": 3.0, "m_a": 1.0, "k": paper.PRESSURE_LAG, "K_Q": K_Q},
         "effects": [{"name": "head_drag", "area": HEAD_DRAG}],
         "numerics": {"nodes": 31, "step": 2.5e-3},
-        "transition": {"depth": 1.0, "height": 0.5, "wall_from": -0.1, "schedule": schedule},
+        "transition": {"depth": 1.0, "height": 0.5, "wall_from": -0.1, "duration": 40.0,
+                       "schedule": schedule},
         "trials": [{"file": "transition.csv", "frequency": 5.5, "amplitude": 400e3,
                     "duration": 60.0}],
     }  # fmt: skip

@@ -7,7 +7,7 @@ import numpy as np
 
 from slider_jax.io.figures import new_figure, save_figure, save_film
 from slider_jax.supports.gripping import HOLDING
-from slider_jax.transition.crossing import CourseRun, energies, outcome
+from slider_jax.transition.run import CrossingRun, energies, outcome
 
 FRAMES, PER_SECOND = 300, 12.0
 """Largest number of frames of the film, and frames per simulated second of a short film."""
@@ -15,7 +15,7 @@ SHOWN = 16
 """Number of bodies in the picture."""
 
 
-def transition_summary(run: CourseRun) -> list[str]:
+def transition_summary(run: CrossingRun) -> list[str]:
     """Returns the lines that the command prints."""
 
     def at(name: str, time: float | None) -> str:
@@ -40,7 +40,7 @@ def transition_summary(run: CourseRun) -> list[str]:
     return lines
 
 
-def course_columns(run: CourseRun) -> dict[str, np.ndarray]:
+def crossing_columns(run: CrossingRun) -> dict[str, np.ndarray]:
     """Returns the CSV columns of all time steps; up from the surface, left from the start."""
     x = run.series
     places = {"head": x.head, "centre": x.centre, "tip": x.midline[:, :, 0]}
@@ -61,7 +61,7 @@ def course_columns(run: CourseRun) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def _scene(axes, run: CourseRun, low: float, high: float, half: float) -> None:
+def _scene(axes, run: CrossingRun, low: float, high: float, half: float) -> None:
     """Draws the water and the wall from `low` to `high` and from -`half` to `half` [mm]."""
     bottom = 1e3 * run.table.wall_from
     axes.fill_between([-half, half], low, 0.0, color="#d8ecf8", lw=0, zorder=0)
@@ -79,13 +79,13 @@ def _right_up(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return -1e3 * points[..., 1, :], 1e3 * points[..., 0, :]
 
 
-def _limits(run: CourseRun) -> tuple[float, float, float]:
+def _limits(run: CrossingRun) -> tuple[float, float, float]:
     across, up = _right_up(run.series.midline)
     half = max(120.0, float(np.abs(across).max()) + 30.0)
     return float(up.min()) - 30.0, max(float(up.max()), 1e3 * run.table.height) + 40.0, half
 
 
-def plot_transition(run: CourseRun, path: Path) -> None:
+def plot_transition(run: CrossingRun, path: Path) -> None:
     """Plots bodies at equal times, and height, wet fraction and powers against time."""
     figure, axes = new_figure(3, 2, figsize=(10, 8), width_ratios=(2, 3))
     grid = axes[0, 0].get_gridspec()
@@ -125,7 +125,7 @@ def plot_transition(run: CourseRun, path: Path) -> None:
 
 
 def film_transition(
-    run: CourseRun, path: Path, progress: Callable[[int, int], None] = lambda done, total: None
+    run: CrossingRun, path: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> None:
     """Writes a GIF of the whole way, with at most `FRAMES` frames."""
     x, t = run.series, run.times

@@ -14,15 +14,15 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
 from slider_jax.optimise.design_space import to_toml
 from slider_jax.supports.gripping import HOLDING
-from slider_jax.transition.course import continue_course, schedule_of, to_crosser, with_schedule
-from slider_jax.transition.crossing import (
-    course_settings,
+from slider_jax.transition.crossing import continue_crossing, schedule_of, to_crosser, with_schedule
+from slider_jax.transition.example import example_crosser
+from slider_jax.transition.run import (
+    crossing_settings,
     energies,
     outcome,
     simulate_transition,
     transition_record,
 )
-from slider_jax.transition.example import example_crosser
 
 CLIMB = {"frequency": 2.0, "front": 172e3, "rear": 172e3}
 
@@ -106,14 +106,14 @@ def test_the_gradient_of_the_height_through_water_and_contact_is_that_of_differe
     No grip begins or ends in another step for these changes.
     """
     experiment = crosser(schedule=schedule(0.1), depth=0.03, wall_from=0.02, start_speed=0.5)
-    base, settings = to_crosser(experiment), course_settings(experiment)._replace(block=100)
+    base, settings = to_crosser(experiment), crossing_settings(experiment)._replace(block=100)
     given = schedule_of(experiment.transition)
 
     @eqx.filter_jit
     def end(x):
         changed = given._replace(front=x[0] * given.front, rear=x[1] * given.rear)
         model = with_schedule(base, changed)
-        carry, series = continue_course(
+        carry, series = continue_crossing(
             model, at_rest(model, settings.numerics), jnp.zeros(()), settings
         )
         return carry.memory.head[0] + carry.memory.head[1], (series.status, series.wet)
