@@ -111,6 +111,12 @@ ENTRIES = {
         "strides.",
         "results/climb/climb_climb.png",
     ),
+    "transition": Entry(
+        "transition --out results/transition",
+        "The picture shows the robot's way from the water to the wall, and its height, wet part "
+        "and energies against time.",
+        "results/transition/transition.png",
+    ),
     "optimize swim": Entry(
         "optimize swim --population 16 --generations 5 --steps-per-stride 48 --out results/optimum",
         "The picture shows the swimming speed against the number of evaluations. For a real "
@@ -124,6 +130,14 @@ ENTRIES = {
         "alone (beta = 0) to swimming alone (beta = 1). For a real search, use the defaults.",
         "results/multimodal/multimodal.png",
         more="[Climbing](how-to/climbing.md#one-tail-for-both-tasks) describes a complete search.",
+    ),
+    "optimize transition": Entry(
+        "optimize transition --population 4 --generations 2 --out results/crossing",
+        "The picture shows the mean speeds of swimming alone, climbing alone and the whole way "
+        "against the number of evaluations. For a real search, use the defaults.",
+        "results/crossing/optimum.png",
+        more="[From the water to the wall](how-to/transition.md#optimising) describes a complete "
+        "search.",
     ),
     "effects": Entry(
         "effects valve_delay --out results/effects",

@@ -27,11 +27,12 @@ class Spines(eqx.Module):
     x is the place of the end relative to the wall, z the stretch of the spines and F their force on
     the wall. Below F_max, the spines stick. At F_max, the grip point follows the end. The grip is
     lost if |F| exceeds the pull-off force F_p at the end of a time step. With F_p < F_max, the
-    spines break off without slip. The friction limit is rounded over 1 %.
+    spines break off without slip. The friction limit is rounded over 1 %, so that F has a
+    continuous derivative.
 
     Sources: Asbeck, A. T., Kim, S., Cutkosky, M. R., Provancher, W. R. and Lanzetta, M. (2006),
     Scaling hard vertical surfaces with compliant microspine arrays, Int. J. Robotics Research 25,
-    1165-1179 (a spine holds 1 to 2 N on rough walls, and compliance shares the load between the
+    1165-1179 (a spine holds of the order of 1 N, and compliance shares the load between the
     spines); Dupont, P., Hayward, V., Armstrong, B. and Altpeter, F. (2002), Single state
     elastoplastic friction models, IEEE Trans. Autom. Control 47, 787-792 (a purely elastic range).
     The default values are assumed for ten spines at each end.
@@ -46,7 +47,7 @@ class Spines(eqx.Module):
     preload: Scalar = 5.0
     """N [N], force that presses the spines of an end into the wall."""
     pull_off: Scalar = 15.0
-    """F_p [N], force at which the spines or the asperities break off: 1.5 N for each spine."""
+    """F_p [N], force at which the spines or the asperities break off: assumed 1.5 N per spine."""
 
     @property
     def limit(self) -> Scalar:
@@ -103,7 +104,8 @@ class GrippingLink(Support):
     the first half of each period of the `clock`, delayed by `phase`, the left end is commanded to
     grip, and then the right end. An end grips if it is commanded to and lies on the wall. It is
     released at the end of its command. If its grip is lost, it grips again at its next command
-    only. Without a grip, the head is free. With r_i the vector from the head to end i,
+    only. Without a grip, the head is free. With the vector r_i from the head to the holding end i
+    and the force F_i of the wall on this end,
 
         T tau + N n = F_i,    M = r_i x F_i
 
