@@ -2,8 +2,9 @@
 
     python benchmarks/start_up.py --out benchmarks/results/start_up.json
 
-Each column has a cache folder of its own, which is empty at the start. A time is the wall-clock
-time of a process, and its CPU time in brackets, which depends less on other programs.
+The first two columns share a cache folder, and the third has its own. Both are empty at the start.
+A time is the wall-clock time of a process, and its CPU time in brackets, which depends less on
+other programs.
 """
 
 import argparse

@@ -163,9 +163,11 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callab
     dynamic, static = eqx.partition(tuple(arguments), eqx.is_array)
     leaves, structure = jax.tree.flatten(dynamic)
     name = f"{function.__module__}.{function.__qualname__}"
-    text = _FUNCTION.sub(r"\1>", repr((structure, jax.tree.flatten(static))))
+    fixed = jax.tree.leaves(static)
+    homes = [x.__module__ for x in fixed if callable(x) and hasattr(x, "__qualname__")]
+    text = _FUNCTION.sub(r"\1>", repr((structure, jax.tree.flatten(static), homes)))
     # The texts do not tell two such functions or objects apart.
-    if "<" in name or "<locals>" in text or " at 0x" in text:
+    if any(x in name + text for x in ("<locals>", "<lambda>", " at 0x")):
         return None
     shapes = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves]
     # A loaded program needs the compiled solver, which `is_used` loads.

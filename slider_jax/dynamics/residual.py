@@ -121,9 +121,9 @@ def _with_shape(bending: Array, x: Section, stage: Stage) -> Array:
 def forces_and_states(
     x: Section, stage: Stage
 ) -> tuple[tuple[Array, Array], Array, tuple[Array, ...]]:
-    """Returns what all effects do in the cells, and the new states of `states_at_rest`.
+    """Returns the force per length (F_tau, F_n) [N/m] and the moment [N m] of all effects.
 
-    The values are the force per length (F_tau, F_n) [N/m] and the internal moment [N m].
+    The third value are the new states, in the order of `states_at_rest`.
     """
     F_tau, F_n = total_force(stage.effects, x)
     wakes, moments = of_place(stage.effects, WakeForce), of_place(stage.effects, BendingMoment)
@@ -153,14 +153,19 @@ def load_rates(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
 
 
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """Returns residuals of the support's conditions, after the mounting's motion is subtracted."""
+    """Returns the residuals of the support's conditions."""
+    return jnp.stack(stage.support.rows(*on_support(head, stage), stage.t))
+
+
+def on_support(head: Float[Array, "6"], stage: Stage) -> tuple[Fields, Array]:
+    """Returns the head's unknowns and turning rate [rad/s] without the motion of the mounting."""
     at_head, omega = fields(head), turning_rate(fields(head), stage)
     rates = HeadRates(*load_rates(head, stage))
     for effect in of_place(stage.effects, Mounting):
         tau, n, turning = effect.give(rates)
         at_head = at_head._replace(V_tau=at_head.V_tau - tau, V_n=at_head.V_n - n)
         omega = omega - turning
-    return jnp.stack(stage.support.rows(at_head, omega, stage.t))
+    return at_head, omega
 
 
 def tail_rows(tail: Float[Array, "6"]) -> Float[Array, "3"]:

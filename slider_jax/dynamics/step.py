@@ -30,8 +30,8 @@ from slider_jax.dynamics.residual import (
     forces_and_states,
     jacobian,
     load_rates,
+    on_support,
     residual,
-    turning_rate,
 )
 from slider_jax.dynamics.shapes import has_shape, shape_at, shape_in_step
 from slider_jax.dynamics.time_schemes import Scheme, extrapolation
@@ -208,9 +208,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             head=head_of(y),
             load=stage.load_head + stage.reference.dt * load_rates(y[:, -1], stage),
             internal=forces_and_states(section, stage)[2],
-            support=stage.support.settled(
-                fields(y[:, -1]), turning_rate(fields(y[:, -1]), stage), t
-            ),
+            support=stage.support.settled(*on_support(y[:, -1], stage), t),
         )
         memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), solved, carry.memory)
         new = Carry(

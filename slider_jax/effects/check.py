@@ -254,6 +254,11 @@ def _check_class(kind: type[Effect], where: str, homes: Mapping[str, str]) -> No
             f"{where}: does not define {missing}; an effect of the place {places[0].__name__} "
             f"defines the method {method}; define it{advice}"
         )
+    if issubclass(kind, WakeForce) and kind.resists_axially:
+        raise InputError(
+            f"{where}.resists_axially: given True; allowed False, because the thrust of a swimmer "
+            "is computed from force densities without memory; derive the class from ForceDensity"
+        )
     if kind.name() in homes:
         raise InputError(
             f"{where}: the effect {kind.name()!r} exists in {homes[kind.name()]}; change the class "

@@ -4,8 +4,8 @@ A job is the computation of one result file. A process claims a job before it co
 it creates the file `NAME.claim0`, which succeeds in only one process. The result is written under a
 temporary name and then renamed. While the process runs, it renews the times of its claims. A claim
 is void if its process does not exist any more on this computer, or if the claim is not renewed for
-`PATIENCE`. The process that creates `NAME.claim1` then takes the job over, and so on. Each process
-measures the time with its own clock, so the clocks of the computers need not agree.
+`CLAIM_LIFETIME`. The process that creates `NAME.claim1` then takes the job over, and so on. Each
+process measures the time with its own clock, so the clocks of the computers need not agree.
 """
 
 import os
@@ -15,13 +15,14 @@ import time
 import zlib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 from slider_jax.io.files import write_bytes
 
 RENEWED = 10.0
 """Time [s] between two renewals of a claim."""
-PATIENCE = 60.0
+CLAIM_LIFETIME = 60.0
 """Time [s] after which a claim that is not renewed is void. A network file system may show a
 renewal up to 30 s late."""
 PAUSE = 0.2
@@ -68,17 +69,17 @@ class SharedFolder:
         """Claims a job. Returns False if its result exists, or if another process computes it."""
         if self.is_done(name):
             return False
-        number = 0
-        while (claim := self.folder / f"{name}.claim{number}").exists():
-            number += 1
+        claims = self.folder.glob(f"{name}.claim*")
+        number = max((int(x.suffix.removeprefix(".claim")) for x in claims), default=-1) + 1
         if number and not self._is_void(self.folder / f"{name}.claim{number - 1}"):
             return False
+        claim = self.folder / f"{name}.claim{number}"
         try:
             handle = os.open(claim, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
         except FileExistsError:
             return False
         with os.fdopen(handle, "w") as file:
-            file.write(f"{platform.node()} {os.getpid()}\n")
+            file.write(f"{_computer()} {os.getpid()}\n")
         with self._lock:
             self._mine[name] = claim
         if self.is_done(name):  # its process finished and removed its claim meanwhile
@@ -91,12 +92,12 @@ class SharedFolder:
             renewed, owner = claim.stat().st_mtime, claim.read_text().split()
         except OSError:  # its process finished or gave up the job meanwhile
             return False
-        if len(owner) == 2 and owner[0] == platform.node() and not _exists(int(owner[1])):
+        if len(owner) == 2 and owner[0] == _computer() and not _exists(int(owner[1])):
             return True
         now = time.monotonic()
         last, since = self._seen.get(claim.name, (renewed, now))
         self._seen[claim.name] = (renewed, now if renewed != last else since)
-        return renewed == last and now - since > PATIENCE
+        return renewed == last and now - since > CLAIM_LIFETIME
 
     def give_up(self, name: str) -> None:
         """Removes the claim of this process to a job."""
@@ -113,9 +114,9 @@ class SharedFolder:
         self.give_up(name)
 
     def compute(self, names: Iterable[str], work: Callable[[str], bytes]) -> None:
-        """Returns when all results exist; `work(name)` computes those that no other process has."""
+        """Returns when all results exist; `work(name)` computes those of the jobs that it takes."""
         pending = list(names)
-        first = zlib.crc32(f"{platform.node()} {os.getpid()}".encode()) % max(1, len(pending))
+        first = zlib.crc32(f"{_computer()} {os.getpid()}".encode()) % max(1, len(pending))
         pending = pending[first:] + pending[:first]  # fewer processes try the same job
         while True:
             there = set(os.listdir(self.folder))  # one request for all jobs
@@ -123,14 +124,15 @@ class SharedFolder:
             free = [name for name in pending if f"{name}.claim0" not in there]
             if not pending:
                 return
-            if not any(self._computed(x, work) for x in free[:1] or pending) and not free:
+            if not any(self._computed(x, work) for x in free[:1] or pending):
                 time.sleep(PAUSE)
 
     def alone(self, name: str, is_done: Callable[[], bool], work: Callable[[], object]) -> None:
         """Returns when `is_done()` is true; one process calls `work()`, which makes it true."""
         while not is_done():
             if self.take(name):
-                work()
+                if not is_done():  # another process may have finished before the claim
+                    work()
                 self.give_up(name)
                 return
             time.sleep(PAUSE)
@@ -140,6 +142,16 @@ class SharedFolder:
             return False
         self.finish(name, work(name))
         return True
+
+
+@cache
+def _computer() -> str:
+    """Returns a name of this computer, since its start and for its own numbers of processes."""
+    parts = [platform.node()]
+    with suppress(OSError):  # not on Linux
+        parts.append(Path("/proc/sys/kernel/random/boot_id").read_text().strip())
+        parts.append(os.readlink("/proc/self/ns/pid"))
+    return "-".join(parts)
 
 
 def _exists(process: int) -> bool:

@@ -21,6 +21,7 @@ from jax.sharding import Mesh, PartitionSpec
 
 from slider_jax.errors import InputError
 from slider_jax.io.sharing import SharedFolder
+from slider_jax.programs import source_digest
 
 CHUNK = 8
 """Number of individuals that a device evaluates together. Their data fit a core's cache."""
@@ -73,15 +74,15 @@ class SharedEvaluation:
     """An `Evaluation` whose parts are divided among processes that share `folder`.
 
     A result file contains the scores of as many individuals as one call of the program evaluates.
-    The files of a population are in a folder whose name is a digest of the population and of the
-    `settings` on which the scores depend. A process therefore never reads scores of another
-    optimisation, and a resumed optimisation reads the scores that it has. The processes need not be
-    in the same generation.
+    The files of a population are in a folder whose name is a digest of the population, of the
+    `settings` on which the scores depend, and of the source files. A process therefore never reads
+    scores of another optimisation, and a resumed optimisation reads the existing scores. The
+    processes need not be in the same generation.
     """
 
     def __init__(self, evaluation: Evaluation, folder: Path, settings: Any):
         self._evaluation, self._folder = evaluation, folder
-        self._settings = json.dumps(settings, sort_keys=True)
+        self._settings = json.dumps([settings, source_digest()], sort_keys=True)
 
     def __call__(self, population: np.ndarray) -> Any:
         """Returns scores (n, ...) of a population (n, d)."""

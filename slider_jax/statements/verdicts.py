@@ -86,7 +86,7 @@ def joint_fit() -> dict[str, Any]:
 
 
 def fitted_assumptions(found: dict[str, Any]) -> Assumptions:
-    """Returns the joint assumptions, the result of the refining search."""
+    """Returns the joint assumptions, the result of the gradient steps."""
     return Assumptions(**found["refined"]["assumptions"])
 
 

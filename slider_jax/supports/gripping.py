@@ -27,8 +27,8 @@ class Spines(eqx.Module):
     x is the place of the end relative to the wall, z the stretch of the spines and F their force on
     the wall. Below F_max, the spines stick. At F_max, the grip point follows the end. The grip is
     lost if |F| exceeds the pull-off force F_p at the end of a time step. With F_p < F_max, the
-    spines break off without slip. The friction limit is rounded over 1 %, so that F has a
-    continuous derivative.
+    spines break off without slip; with the default values, they slip and never break off. The
+    friction limit is rounded over 1 %, so that F has a continuous derivative.
 
     Sources: Asbeck, A. T., Kim, S., Cutkosky, M. R., Provancher, W. R. and Lanzetta, M. (2006),
     Scaling hard vertical surfaces with compliant microspine arrays, Int. J. Robotics Research 25,
@@ -105,9 +105,9 @@ class GrippingLink(Support):
     grip, and then the right end. An end grips if it is commanded to and lies on the wall. It is
     released at the end of its command. If its grip is lost, it grips again at its next command
     only. Without a grip, the head is free. With the vector r_i from the head to the holding end i
-    and the force F_i of the wall on this end,
+    and the force R_i = -F_i of the wall on this end,
 
-        T tau + N n = F_i,    M = r_i x F_i
+        T tau + N n = R_i,    M = r_i x R_i
 
     Grips begin and end between time steps. Derivatives do not include the change of these steps,
     and the position of an end changes its force only through the step in which it grips.

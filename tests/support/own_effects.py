@@ -10,7 +10,9 @@ WALL_FRICTION = '''"""Friction along the body."""
 import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import BendingMoment, Effect, ForceDensity, parameter, shape_parameter
+from slider_jax.effects.base import (
+    BendingMoment, Effect, ForceDensity, WakeForce, parameter, shape_parameter
+)
 
 
 class WallFriction(ForceDensity):

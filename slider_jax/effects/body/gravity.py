@@ -21,7 +21,7 @@ class Gravity(ForceDensity):
     centre of buoyancy of a body in space may lie beside the centre of mass. The couple of the two
     forces then rights the body.
 
-    If the model has a waterline, A is the volume of the wet part.
+    If the model has a waterline, A is multiplied by the wet fraction.
 
     In water, the tension T of the beam is the tension plus the pressure of the water times the
     cross-section, so it is 0 at a free end. Source: Archimedes' principle, Batchelor, G. K. (1967),

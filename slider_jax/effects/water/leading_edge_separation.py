@@ -14,11 +14,11 @@ class LeadingEdgeSeparation(ForceDensity):
 
         F_n = -K pi rho H^2/8 |u_n| u_n delta(s - s_joint)
 
-    H is the height of the tail. The attached flow around a leading edge of this height pulls it
-    forward with the suction pi rho H^2/8 u_n^2. If the flow separates, the low pressure of the
-    vortex acts on the side instead, with the same size (Polhamus). K is the fraction of the suction
-    that does so. The model without `TailAddedMass` has no forward suction at the joint, so the
-    effect has no tangential force. It acts in the two cells next to the joint.
+    H is the height of the body in the two cells next to the joint. The attached flow around a
+    leading edge of this height pulls it forward with the suction pi rho H^2/8 u_n^2. If the flow
+    separates, the low pressure of the vortex acts on the side instead, with the same size
+    (Polhamus). K is the fraction of the suction that does so. The model without `TailAddedMass` has
+    no forward suction at the joint, so the effect has no tangential force.
 
     Source: Polhamus, E. C. (1966), A concept of the vortex lift of sharp-edge delta wings based on
     a leading-edge-suction analogy, NASA TN D-3767; attached suction: Jones, R. T. (1946),

@@ -27,8 +27,11 @@ class WakeMemory(WakeForce):
     After a sudden start at constant |u|, the force of a model with the added-mass coefficient m_a
     is the final force times 1 - (m_w/m_a)(0.33 exp(-0.0455 x) + 0.67 exp(-0.3 x)), with the number
     x of half heights that the section has travelled. For m_w = m_a/2 and lambda = 1, this is
-    Wagner's function in the approximation of Jones. The tangential force has no delay, because it
-    is zero for a body of uniform height. Below 1 mm/s, the speed |u| is smoothed.
+    Wagner's function in the approximation of Jones. Wagner's theory of wings delays only the lift
+    due to circulation. Here the part m_w of the inertial force is delayed too, because a robot
+    without forward speed has hardly another reactive force; this is an assumption, which data have
+    to confirm. The tangential force has no delay, because it is zero for a body of uniform height.
+    Below 1 mm/s, the speed |u| is smoothed.
 
     Source: Wagner, H. (1925), Ueber die Entstehung des dynamischen Auftriebes von Tragfluegeln, Z.
     angew. Math. Mech. 5, 17-35; Jones, R. T. (1940), The unsteady lift of a wing of finite aspect

@@ -174,6 +174,7 @@ def test_the_compiled_solver_is_refused_for_float32():
 @pytest.mark.parametrize("robots", [1, 9])
 def test_a_simulation_equals_that_with_the_twin(monkeypatch, robots):
     """Readings and power of two strides, and the forward derivatives with respect to C_d."""
+    assert block_kernel.is_used()
     times = TimeGrid.per_stride(4.8, 40, 2)
 
     def simulated(C_d):

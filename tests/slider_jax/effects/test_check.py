@@ -27,7 +27,7 @@ MOMENT = "def moment(self, x, memory, dt):\n        return self.c * x.kappa, "
 START = PARAMETER.replace(")", ", start=2.0)")
 IN_FORCE = r"WallFriction\.force: "
 BAD = {
-    "syntax": ([("(self, x):", "(self, x)")], "line 17: invalid Python: expected ':'"),
+    "syntax": ([("(self, x):", "(self, x)")], "line 19: invalid Python: expected ':'"),
     "import": ([("import jax.numpy", "import no_such")], "cannot be imported: ModuleNotFoundError"),
     "no class": ([("class Wall", "class _Wall"), (BASE, "WallFriction")], "defines no effect"),
     "no title": ([('title = "friction at a wall"', "")], "WallFriction: has no title"),
@@ -148,6 +148,14 @@ BAD = {
     "scalar memory": (
         [(BASE, "WallFriction(BendingMoment)"), ("def force", MOMENT + "0.0\n\n    def force")],
         "returns a memory of array of shape (); allowed array of shape (5,)",
+    ),
+    "axial resistance with memory": (
+        [
+            (BASE, "WallFriction(WakeForce)"),
+            ("    c: Scalar", "    resists_axially = True\n    c: Scalar"),
+            ("def force(self, x)", "def wake_force(self, x, memory, dt)"),
+        ],
+        "WallFriction.resists_axially: given True; allowed False, because the thrust",
     ),
     "condition in Python": (
         [(FORCE, f"({FORCE} if self.c > 1.0 else 0.0)")],

@@ -18,7 +18,7 @@ import sys, time
 from pathlib import Path
 from slider_jax.io import sharing
 folder, log, count, seconds, patience = sys.argv[1:]
-sharing.RENEWED, sharing.PATIENCE, sharing.PAUSE = 0.1, float(patience), 0.02
+sharing.RENEWED, sharing.CLAIM_LIFETIME, sharing.PAUSE = 0.1, float(patience), 0.02
 
 def work(name):
     with open(log, "a") as file:
@@ -78,7 +78,7 @@ def test_the_jobs_of_a_killed_process_are_taken_over(tmp_path):
 
 
 def test_a_claim_of_another_computer_is_void_if_it_is_not_renewed(tmp_path, monkeypatch):
-    monkeypatch.setattr(sharing, "PATIENCE", 0.2)
+    monkeypatch.setattr(sharing, "CLAIM_LIFETIME", 0.2)
     claim = tmp_path / "job.claim0"
     claim.write_text("another_computer 1\n")
     with SharedFolder(tmp_path) as shared:
@@ -91,6 +91,19 @@ def test_a_claim_of_another_computer_is_void_if_it_is_not_renewed(tmp_path, monk
         assert shared.take("job")
         with SharedFolder(tmp_path) as late:
             assert not late.take("job")
+
+
+def test_a_claim_that_was_given_up_before_a_later_claim_leaves_no_gap(tmp_path):
+    (tmp_path / "job.claim1").write_text("another_computer 1\n")
+    with SharedFolder(tmp_path) as shared:
+        assert not shared.take("job")
+
+
+def test_work_that_ends_before_the_claim_is_not_repeated(tmp_path):
+    answers = iter([False, True])
+    with SharedFolder(tmp_path) as shared:
+        shared.alone("result", lambda: next(answers), lambda: pytest.fail("the work is done"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_job_that_fails_is_free_again(tmp_path):
