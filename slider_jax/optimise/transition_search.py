@@ -379,7 +379,10 @@ def crossing_summary(content: dict[str, Any]) -> list[str]:
     """Returns the lines of a table of the optimum, and of both parts alone."""
     parts, coarse = content["parts"], content["transition"]
     names = list(CROSSING_BOUNDS)
-    lines = [f"{'':18}" + "".join(f"{part + ' alone':>16}" for part in ("swim", "climb"))]
+    lines = [
+        f"{'variable (SI unit)':18}"
+        + "".join(f"{part + ' alone':>16}" for part in ("swim", "climb"))
+    ]
     lines[0] += f"{'transition':>16}"
     for name in names:
         cells = [parts[part]["design"].get(name) for part in PARTS]

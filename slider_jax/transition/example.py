@@ -8,9 +8,24 @@ from slider_jax.beam.parameters import SLIDER
 from slider_jax.experiment.load import Experiment, assemble
 from slider_jax.swimming.paper_optimum import HEAD_DRAG
 
-SWIM = {"frequency": 5.5, "front": 400e3, "rear": 400e3, "phase": 0.14, "grip_phase": 0.0}
-CLIMB = {"frequency": 2.0, "front": 172e3, "rear": 172e3, "phase": 0.0, "grip_phase": 0.0}
-SWITCH = 4.0
+SWIM = {
+    "frequency": 4.503,
+    "front": 443.7e3,
+    "rear": 444.1e3,
+    "phase": 0.1768,
+    "grip_phase": 0.001789,
+}
+CLIMB = {
+    "frequency": 3.494,
+    "front": 172.3e3,
+    "rear": 172.0e3,
+    "phase": -0.1745,
+    "grip_phase": 0.001789,
+}
+SWITCH = 2.795
+"""Time [s] at which the swimming gait ends."""
+TAIL = {"tail_length": 0.04461, "EI_tail": 0.02094}
+"""The optimum of `slider optimize transition --generations 60`, rounded."""
 
 
 def example_crosser() -> Experiment:
@@ -20,7 +35,7 @@ def example_crosser() -> Experiment:
     schedule = [{"time": 0.0, **SWIM}, {"time": SWITCH, **SWIM}, {"time": SWITCH + 0.5, **CLIMB}]
     content = {
         "name": "transition",
-        "robot": robot | {"density": 1000.0},
+        "robot": robot | {"density": 1000.0} | TAIL,
         "parameters": {"C_d": 3.0, "m_a": 1.0, "k": paper.PRESSURE_LAG, "K_Q": K_Q},
         "effects": [{"name": "head_drag", "area": HEAD_DRAG}],
         "numerics": {"nodes": 31, "step": 2.5e-3},

@@ -118,7 +118,8 @@ def plot_transition(run: CrossingRun, path: Path) -> None:
     for name, p in work.items():
         power.plot(t, run.settings.step * np.cumsum(p), lw=1.2, label=name)
     power.set(xlabel="time (s)", ylabel="energy (J)")
-    power.legend(fontsize="small")
+    below = {"loc": "upper center", "bbox_to_anchor": (0.45, -0.2), "frameon": False}
+    power.legend(fontsize="small", ncols=5, handlelength=1.0, columnspacing=1.0, **below)
     for axis in (height, wet, power):
         axis.margins(x=0.0)
     save_figure(figure, path)

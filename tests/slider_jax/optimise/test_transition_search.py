@@ -56,12 +56,12 @@ def test_a_part_alone_has_one_gait_and_units_are_inverted():
 
 def test_the_score_is_the_mean_speed_to_the_goal():
     """The time of the written experiment, which `slider transition` simulates with its events."""
-    task = CrossingTask.of(near_the_wall(height=-0.12, wall_from=-0.15), {})
+    task = CrossingTask.of(near_the_wall(height=-0.15, wall_from=-0.16), {})
     unit = task.unit("transition", START)
     score = float(Evaluation(crossing_speed(task, "transition"), chunk=1)(unit[None])[0])
     run = simulate_transition(with_crossing(task, unit))
     print(score, run.reached)
-    np.testing.assert_allclose(score, 0.18 / run.reached, rtol=1e-9)
+    np.testing.assert_allclose(score, 0.15 / run.reached, rtol=1e-9)
 
 
 def test_what_cannot_be_optimised_is_refused():

@@ -32,7 +32,8 @@ def crosser(*, numerics=None, robot=None, **transition) -> Experiment:
     given = example_crosser()
     own = {"depth": 0.3, "height": 0.05, "duration": 4.0} | transition
     changes = {f"transition.{k}": v for k, v in own.items()}
-    changes |= {f"robot.{k}": v for k, v in (robot or {}).items()}
+    robot = {"tail_length": 0.07, "EI_tail": 0.0058} | (robot or {})
+    changes |= {f"robot.{k}": v for k, v in robot.items()}
     return given.with_values({"numerics": {"nodes": 15, "step": 4e-3} | (numerics or {})} | changes)
 
 
