@@ -26,7 +26,6 @@ from slider_jax.dynamics.residual import forces_and_states, turning_rate
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest, with_motion
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
-from slider_jax.effects import Gravity
 from slider_jax.supports import PinnedLink
 from slider_jax.swimming.steady_state import STRIDES_BEFORE_START
 
@@ -97,7 +96,7 @@ def _saved(x: Snapshot) -> ClimbSeries:
     head = fields(x.y[:, -1])
     midline = obs.midline(x)
     rates = support.anchor_velocity(head, turning_rate(head, x.stage), x.t)
-    others = tuple(e for e in x.stage.effects if not isinstance(e, Gravity))
+    others = tuple(e for e in x.stage.effects if e.vertical() is None)
     (F_tau, F_n), moments, _ = forces_and_states(cell, replace(x.stage, effects=others))
     damped = cell.damping_time * (cell.EI * cell.kappa_t**2 + cell.EA * cell.strain_t**2)
     given = moments * cell.kappa_t - (1.0 + cell.strain) * (F_tau * cell.V_tau + F_n * cell.V_n)

@@ -126,7 +126,7 @@ def to_crosser(experiment: Experiment) -> Model:
         if isinstance(effect, WaterMotion) or effect.lacks_weight:
             why = "moves the water" if isinstance(effect, WaterMotion) else "has no weight"
             raise InputError(f"effects: given {effect.name()}, which {why}; remove this effect")
-    kept = [e for e in model.effects if not isinstance(e, (Mounting, Gravity))]
+    kept = [e for e in model.effects if not isinstance(e, Mounting) and e.vertical() is None]
     weight = Gravity(G, density=experiment.robot.water_density)
     spines = Spines(**table.spines.model_dump())
     schedule = schedule_of(table)
@@ -177,8 +177,8 @@ def _saved(x: Snapshot) -> CrossingSeries:
         return -grid.integral(stretch * (F_tau * section.V_tau + F_n * section.V_n))
 
     effects = x.stage.effects
-    weight = tuple(e for e in effects if isinstance(e, Gravity))
-    others = tuple(e for e in effects if not isinstance(e, Gravity))
+    weight = tuple(e for e in effects if e.vertical() is not None)
+    others = tuple(e for e in effects if e.vertical() is None)
     of_water, moments, _ = forces_and_states(section, replace(x.stage, effects=others))
     damped = section.EI * section.kappa_t**2 + section.EA * section.strain_t**2
     forces, grips = link.grips(head, omega)

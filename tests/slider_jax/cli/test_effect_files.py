@@ -84,7 +84,7 @@ def test_a_file_that_changes_during_the_run_gives_an_error_and_no_result(
 def test_a_file_with_an_error_stops_the_command_before_the_experiment_is_read(tmp_path, capsys):
     path = write_effect(tmp_path / "wall.py", ("(self, x):", "(self, x)"))
     words = ("simulate", "no_such.toml", "--out", tmp_path / "out", "--effects", path)
-    assert f"{path}: line 17: invalid Python" in refused(capsys, *words)
+    assert f"{path}: line 19: invalid Python" in refused(capsys, *words)
 
 
 def test_the_simulated_rig_needs_an_experiment_for_effects(tmp_path, capsys):
