@@ -182,7 +182,7 @@ def _stacked(rows: tuple[Array, ...]) -> Float[Array, "rows cells"]:
     """Returns the same as `jnp.stack`, in a form that XLA compiles to one loop.
 
     `jnp.stack` gives a loop for each row, and each loop computes the section again. A step of one
-    robot then takes 480 us instead of 350 us.
+    robot then takes 1.4 times as long (docs/explanation/decisions.md).
     """
     index = jnp.arange(len(rows))[:, None]
     found = jnp.broadcast_to(rows[-1], (len(rows), *rows[-1].shape))
