@@ -36,14 +36,16 @@ def warm_up(
 
     Each part runs one command in a temporary folder, which is deleted. The compiled programs stay
     in the cache folder. A robot with another mesh, other effects or another number of chambers has
-    other programs, so give the experiments that you will simulate or calibrate. If you stop the
-    command, the finished programs are kept; repeat the command to compile the others.
+    other programs, so give the experiments that you will simulate or calibrate. The command takes
+    about three minutes, and the part close-loop takes eight minutes; it is needed once for each
+    version. If you stop the command, the finished programs are kept; repeat the command to compile
+    the others.
 
     Args:
         experiments: experiment files (.toml). The part simulate uses all files. The parts calibrate
             and close-loop simulate short trials of the first file as data. The other parts use
             built-in inputs (default: the built-in robot for all parts).
-        parts: commands whose programs are compiled. The part close-loop takes the longest.
+        parts: commands whose programs are compiled.
     """
     from slider_jax.cli.progress import timed_printer
     from slider_jax.programs import all_programs_kept, compiled_programs

@@ -90,7 +90,9 @@ def _wake_force(effect: WakeForce, moving: Array) -> Response:
     zero = jnp.zeros(CELLS.shape)
     memory = jnp.zeros((effect.states, *CELLS.shape))
     force, state = effect.wake_force(_section(moving), memory, jnp.asarray(DT))
-    return Response(tuple(part + zero for part in force), (zero, zero), state, memory)
+    at_rest = state * (1.0 - moving)  # must be zero
+    given = (*(part + zero for part in force), at_rest)
+    return Response(given, (zero, zero, memory), state, memory)
 
 
 def _moment(effect: BendingMoment, moving: Array) -> Response:

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from slider_jax.experiment.tables import FROM_LIST, Table, fail
 from slider_jax.io.units import Quantity
 
-Pressure = Annotated[float, Quantity(0.0, 2e6, "Pa")]
+Pressure = Annotated[float, Quantity(1e3, 2e6, "Pa", or_zero=True)]
 
 
 class SpinesTable(Table):

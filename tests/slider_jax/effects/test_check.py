@@ -157,6 +157,17 @@ BAD = {
         ],
         "WallFriction.resists_axially: given True; allowed False, because the thrust",
     ),
+    "memory that grows at rest": (
+        [
+            (BASE, "WallFriction(WakeForce)"),
+            (
+                "def force(self, x):\n        return ",
+                "def wake_force(self, x, memory, dt):\n        F = ",
+            ),
+            ("jnp.zeros_like(x.u_n)\n", "jnp.zeros_like(x.u_n)\n        return F, memory + dt\n"),
+        ],
+        "WallFriction.wake_force: changes the model by up to 0.002 at the null (c = 0)",
+    ),
     "condition in Python": (
         [(FORCE, f"({FORCE} if self.c > 1.0 else 0.0)")],
         "WallFriction.force: fails on a sample input: TracerBoolConversionError: Attempted",

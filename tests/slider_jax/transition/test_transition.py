@@ -11,7 +11,7 @@ import pytest
 from slider_jax.cli.main import main
 from slider_jax.dynamics.step import at_rest
 from slider_jax.errors import InputError
-from slider_jax.experiment.load import Experiment
+from slider_jax.experiment.load import Experiment, load
 from slider_jax.optimise.design_space import to_toml
 from slider_jax.supports.gripping import HOLDING
 from slider_jax.transition.crossing import continue_crossing, schedule_of, to_crosser, with_schedule
@@ -23,7 +23,9 @@ from slider_jax.transition.run import (
     simulate_transition,
     transition_record,
 )
+from tests.support.data import ROOT
 
+DOCS = ROOT / "docs"
 CLIMB = {"frequency": 2.0, "front": 172e3, "rear": 172e3}
 
 
@@ -160,3 +162,15 @@ def test_the_command_writes_record_series_picture_and_film(tmp_path, capsys):
     assert rows["head_up_m"][-1] >= -0.06 > rows["head_up_m"][-2]
     assert (out / "transition.png").stat().st_size > 10_000
     assert (out / "transition.gif").stat().st_size > 10_000
+
+
+def test_the_experiment_file_of_the_docs_is_the_built_in_robot():
+    assert load(DOCS / "crossing.toml").model_dump() == example_crosser().model_dump()
+
+
+def test_a_pressure_in_kPa_is_refused(tmp_path):
+    path = tmp_path / "kilo.toml"
+    text = (DOCS / "crossing.toml").read_text()
+    path.write_text(text.replace("front = 172.3e3", "front = 172.3"))
+    with pytest.raises(InputError, match="front: given 172.3; allowed 0, or 1000 to"):
+        load(path)
