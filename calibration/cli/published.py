@@ -31,7 +31,7 @@ def published(
 
     Args:
         out: folder for the results; created if missing. Files of the same name are replaced.
-        every_statement: compare all statements of the paper (about eight minutes on two cores).
+        every_statement: compare all statements of the paper (about seven minutes on two cores).
         front: results of `slider optimize multimodal` for the built-in robot, for --all (default:
             none; the statements on Fig. 9 are then not simulated).
     """
