@@ -117,7 +117,7 @@ def _reporter() -> Callable[..., None]:
 def _writer(out: Path, file: str) -> Callable[[Callable[[], None]], None]:
     """Returns a function that calls `write()` in one of the processes that share the folder.
 
-    `write` replaces `file`. The other processes wait until this file is newer than now.
+    `write` replaces `file`. The other processes wait until this file has changed.
     """
     from slider_jax.io.sharing import SharedFolder
     from slider_jax.optimise.population import SCORES, barrier, is_first

@@ -160,13 +160,23 @@ class ForceDensity(Effect):
         effect that is not `in_air` by the wet fraction of the section.
         """
 
+    def entrained_mass(self, x: Section) -> Array:
+        """Returns the mass per length [kg/m] of the water that moves with a wet section.
+
+        An effect that gives momentum to the water must override this method.
+        """
+        return jnp.zeros_like(x.V_n)
+
     def entry_force(self, x: Section) -> tuple[Array, Array]:
         """Returns the force per length (F_tau, F_n) [N/m] due to the motion through the surface.
 
         Only models with a waterline have this force, and it is not multiplied by the wet fraction.
-        An effect that gives momentum to the water must override this method.
+        See `ReactiveForce`.
         """
-        return jnp.zeros_like(x.V_n), jnp.zeros_like(x.V_n)
+        zero = jnp.zeros_like(x.V_n)
+        if x.wetting is None:
+            return zero, zero
+        return zero, -self.entrained_mass(x) * jnp.maximum(x.wetting, 0.0) * x.u_n
 
     def load_in_space(self, x: SpatialSection) -> SpatialLoad:
         """Returns force and couple per length on a section of a body in space.

@@ -9,22 +9,8 @@ from slider_jax.beam.state import to_plane
 from slider_jax.supports.base import Start, Support
 
 
-class Free(Support):
-    """A head without loads, T = N = M = 0. The reference point (`anchor_offset`) is the head.
-
-    The robot starts straight, at the angle `heading` [rad] to the x axis of the tank, and moves
-    forward at `speed` [m/s].
-    """
-
-    speed: Scalar = eqx.field(default=0.0)
-    heading: Scalar = eqx.field(default=0.0)
-
-    def rows(self, head, omega, t):
-        return head.T, head.N, head.M
-
-    def start(self, t):
-        heading = jnp.asarray(self.heading)
-        return Start(to_plane(self.speed, 0.0, heading), heading, jnp.zeros(()))
+class MovingHead(Support):
+    """A head that may move anywhere. The reference point (`anchor_offset`) is the head."""
 
     def during(self, t0, t1):
         return self
@@ -37,6 +23,24 @@ class Free(Support):
 
     def anchor_velocity(self, head, omega, t):
         return jnp.stack(to_plane(head.V_tau, head.V_n, head.phi))
+
+
+class Free(MovingHead):
+    """A head without loads, T = N = M = 0.
+
+    The robot starts straight, at the angle `heading` [rad] to the x axis of the tank, and moves
+    forward at `speed` [m/s].
+    """
+
+    speed: Scalar = eqx.field(default=0.0)
+    heading: Scalar = eqx.field(default=0.0)
+
+    def start(self, t):
+        heading = jnp.asarray(self.heading)
+        return Start(to_plane(self.speed, 0.0, heading), heading, jnp.zeros(()))
+
+    def rows(self, head, omega, t):
+        return head.T, head.N, head.M
 
     def rows_in_space(self, head, frame, omega, t):
         return *head.T, *head.M

@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 from slider_jax.beam.clock import Clock
 from slider_jax.beam.parameters import Scalar
 from slider_jax.beam.state import Fields, to_body, to_plane
-from slider_jax.supports.base import Start, Support
+from slider_jax.supports.base import Start
+from slider_jax.supports.free import MovingHead
 
 ROUNDING = 0.01
 """The limit of friction is rounded over this fraction of the limit, so that the force has a
@@ -97,7 +98,7 @@ class GripState(eqx.Module):
     """Size [N] of the spines' force at the end of the stage."""
 
 
-class GrippingLink(Support):
+class GrippingLink(MovingHead):
     """A massless rigid link across the head whose two ends grip a wall by `spines`, in turn.
 
     The wall covers the plane of motion above the height `wall_from` along the direction `up`. In
@@ -205,18 +206,6 @@ class GrippingLink(Support):
     def start(self, t):
         heading = jnp.asarray(self.heading, float)
         return Start(to_plane(self.speed, 0.0, heading), heading, jnp.zeros(()))
-
-    def during(self, t0, t1):
-        return self
-
-    def sensor_angle(self, phi, t):
-        return phi
-
-    def anchor_offset(self, phi, t):
-        return jnp.zeros(2)
-
-    def anchor_velocity(self, head, omega, t):
-        return jnp.stack(to_plane(head.V_tau, head.V_n, head.phi))
 
     def rows_in_space(self, head, frame, omega, t):
         raise NotImplementedError("GrippingLink is defined in the plane only")

@@ -99,9 +99,10 @@ def to_climber(
     if gait is not None:
         model = driven(model, gait)
     waves = tuple(_capped(wave, cap) for wave in model.drive.waves)
-    kept = [e for e in model.effects if not isinstance(e, (WaterMotion, Mounting, Gravity))]
+    kept = [
+        e for e in model.effects if not isinstance(e, (WaterMotion, WakeForce, Mounting, Gravity))
+    ]
     kept = [e for e in kept if not isinstance(e, ForceDensity) or e.in_air]
-    kept = [e for e in kept if not isinstance(e, WakeForce)]
     model = replace(
         model,
         effects=(Gravity(G), *kept),

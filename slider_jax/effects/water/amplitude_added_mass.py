@@ -37,13 +37,9 @@ class AmplitudeAddedMass(ForceDensity):
     """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
-        F_n = -self._added_mass(x) * x.u_n_t
+        F_n = -self.entrained_mass(x) * x.u_n_t
         return jnp.zeros_like(F_n), F_n
 
-    def entry_force(self, x):
-        F_n = -self._added_mass(x) * jnp.maximum(x.wetting, 0.0) * x.u_n
-        return jnp.zeros_like(F_n), F_n
-
-    def _added_mass(self, x):
+    def entrained_mass(self, x):
         KC = jnp.sqrt(squared_KC(x, self.stride_frequency) + KC_ROUNDING**2)
         return self.c * KC * math.pi * self.density * x.height**2 / 4.0

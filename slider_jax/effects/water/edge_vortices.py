@@ -56,10 +56,8 @@ class EdgeVortices(ForceDensity):
         F_n = -drag - m_A * x.u_n_t
         return jnp.zeros_like(F_n), F_n
 
-    def entry_force(self, x):
-        _, m_A = self._coefficient_and_mass(x)
-        F_n = -m_A * jnp.maximum(x.wetting, 0.0) * x.u_n
-        return jnp.zeros_like(F_n), F_n
+    def entrained_mass(self, x):
+        return self._coefficient_and_mass(x)[1]
 
     def _coefficient_and_mass(self, x):
         """Returns the drag coefficient [-] and the added mass [kg/m] of the vortices."""

@@ -88,9 +88,8 @@ class ReactiveForce(ForceDensity):
             F_tau, F_n = F_tau - refraction[0], F_n - refraction[1]
         return F_tau - m_A_s * x.u_n**2 / 2.0, F_n + m_A_s * x.u_tau * x.u_n
 
-    def entry_force(self, x):
-        F_n = -self.added_mass(x.height) * jnp.maximum(x.wetting, 0.0) * x.u_n
-        return jnp.zeros_like(F_n), F_n
+    def entrained_mass(self, x):
+        return self.added_mass(x.height)
 
     def load_in_space(self, x):
         s, u, w = x.structure, x.u, x.slip

@@ -40,6 +40,5 @@ class TailAddedMass(ForceDensity):
             x.in_tail * F_n - at_joint * x.u_tau * x.u_n,
         )
 
-    def entry_force(self, x):
-        F_tau, F_n = ReactiveForce(self.m_a, self.density).entry_force(x)
-        return x.in_tail * F_tau, x.in_tail * F_n
+    def entrained_mass(self, x):
+        return x.in_tail * ReactiveForce(self.m_a, self.density).added_mass(x.height)

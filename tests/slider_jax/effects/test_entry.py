@@ -10,6 +10,7 @@ from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.effects import Gravity, NormalDrag, ReactiveForce
 from slider_jax.effects.base import force_of
 from slider_jax.effects.water.amplitude_added_mass import AmplitudeAddedMass
+from slider_jax.effects.water.edge_vortices import EdgeVortices
 from slider_jax.effects.water.tail_added_mass import TailAddedMass
 from tests.support.helpers import SMALL, swimmer
 
@@ -38,7 +39,7 @@ def test_the_water_acts_on_the_wet_part_and_weight_everywhere(section):
 
 
 def test_added_mass_takes_momentum_on_entry_and_none_on_exit(section):
-    effects = ReactiveForce(1.0), TailAddedMass(0.5), AmplitudeAddedMass(0.2)
+    effects = ReactiveForce(1.0), TailAddedMass(0.5), AmplitudeAddedMass(0.2), EdgeVortices(2.0)
     leaves = dataclasses.replace(section, wetting=-section.wetting)
     for effect in effects:
         entering, leaving = effect.entry_force(section), effect.entry_force(leaves)
