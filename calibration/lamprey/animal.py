@@ -140,11 +140,12 @@ def _section(structure: Structure, t, y, y_t) -> Section:
         strain=jnp.zeros_like(mid[0]),
         internal=(),
         dt=dt,
+        lag=structure.damping_time / dt,
     )
     no_load = jnp.zeros((3, *mid[0].shape))
-    still, empty = jnp.zeros((2, 2)), jnp.zeros_like(mid[0])
+    empty = jnp.zeros_like(mid[0])
     at, sloping = Fields(*no_load, *mid), Fields(*no_load, *slope)
-    return section(at, sloping, structure, reference, still, empty, t)
+    return section(at, sloping, structure, reference, None, empty, t)
 
 
 @jax.jit

@@ -15,6 +15,8 @@ T = EA (eps + alpha d(eps)/dt) is solved for eps in each cell, so eps is not an 
 A time derivative is (value - reference)/dt. `Reference` contains the reference values and dt.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -56,6 +58,8 @@ class Reference(eqx.Module):
     strain: Array
     internal: tuple[Array, ...]
     dt: Array
+    lag: Array
+    """damping_time/dt [-]. It is stored because the compiler would divide again in each tangent."""
 
 
 class LocalWater(eqx.Module):
@@ -117,7 +121,7 @@ class Section(eqx.Module):
 
 def strain(T, structure: Structure, reference: Reference):
     """Returns the strain eps [-] that solves T = EA (eps + damping_time (eps - eps_ref)/dt)."""
-    lag = structure.damping_time / reference.dt
+    lag = reference.lag
     return (T / structure.EA + lag * reference.strain) / (1.0 + lag)
 
 
@@ -126,7 +130,7 @@ def section(
     slope: Fields,
     structure: Structure,
     reference: Reference,
-    water: Float[Array, "2 2"] | LocalWater,
+    water: Float[Array, "2 2"] | LocalWater | None,
     pressure,
     t,
     immersion: Immersion | None = None,
@@ -135,34 +139,17 @@ def section(
 
     `mid` and `slope` are the means and slopes d/ds of the unknowns. `pressure` (cells,) [Pa] is the
     pressure of the chamber at each cell. `water` contains the velocity U [m/s] and the acceleration
-    [m/s^2] of uniform water, each (x, y), or it is the `LocalWater` at the cells. `immersion` is
-    None without a waterline.
-
-    The time derivatives follow the body and the slopes are along the body, so in nonuniform water
-
-        (dU/dt)_body = dU/dt + (V . grad) U,    dU/ds = (1 + eps) (tau . grad) U
+    [m/s^2] of uniform water, each (x, y), or it is the `LocalWater` at the cells, or None for still
+    water. `immersion` is None without a waterline.
     """
     dt = reference.dt
     omega = (mid.phi - reference.phi) / dt
     V_tau_t = (mid.V_tau - reference.V_tau) / dt
     V_n_t = (mid.V_n - reference.V_n) / dt
     eps = strain(mid.T, structure, reference)
-    U, A = (water.velocity, water.rate) if isinstance(water, LocalWater) else (water[0], water[1])
-    U_tau, U_n = to_body(U, mid.phi)
-    A_tau, A_n = to_body(A, mid.phi)
-    u_tau_s, u_n_s = slope.V_tau - slope.phi * U_n, slope.V_n + slope.phi * U_tau
-    gradient = None
-    if isinstance(water, LocalWater):
-        x_slope, y_slope = water.gradient[:, 0], water.gradient[:, 1]
-        tau, n = to_plane(1.0, 0.0, mid.phi), to_plane(0.0, 1.0, mid.phi)
-        tau_slope = to_body(x_slope * tau[0] + y_slope * tau[1], mid.phi)
-        n_slope = to_body(x_slope * n[0] + y_slope * n[1], mid.phi)
-        A_tau = A_tau + mid.V_tau * tau_slope[0] + mid.V_n * n_slope[0]
-        A_n = A_n + mid.V_tau * tau_slope[1] + mid.V_n * n_slope[1]
-        u_tau_s = u_tau_s - (1.0 + eps) * tau_slope[0]
-        u_n_s = u_n_s - (1.0 + eps) * tau_slope[1]
-        gradient = jnp.stack([tau_slope[1], n_slope[1]])
-    u_n = mid.V_n - U_n
+    relative = _RelativeMotion(mid.V_tau, mid.V_n, slope.V_tau, slope.V_n, V_tau_t, V_n_t)
+    if water is not None:
+        relative = _in_moving_water(relative, mid, slope.phi, omega, eps, water)
     return Section(
         **vars(structure),
         t=t,
@@ -177,15 +164,61 @@ def section(
         V_n=mid.V_n,
         V_tau_t=V_tau_t,
         V_n_t=V_n_t,
-        u_tau=mid.V_tau - U_tau,
-        u_n=u_n,
+        **relative._asdict(),
+        wet=None if immersion is None else immersion.wet,
+        wetting=None if immersion is None else immersion.wetting(relative.u_n, mid.phi),
+    )
+
+
+class _RelativeMotion(NamedTuple):
+    """The fields of `Section` that depend on the motion of the water."""
+
+    u_tau: Array
+    u_n: Array
+    u_tau_s: Array
+    u_n_s: Array
+    u_tau_t: Array
+    u_n_t: Array
+    U_n_gradient: Array | None = None
+
+
+def _in_moving_water(
+    tank: _RelativeMotion,
+    mid: Fields,
+    kappa: Array,
+    omega: Array,
+    eps: Array,
+    water: Float[Array, "2 2"] | LocalWater,
+) -> _RelativeMotion:
+    """Returns the motion relative to the water from the motion relative to the `tank`.
+
+    The time derivatives follow the body and the slopes are along the body, so in nonuniform water
+
+        (dU/dt)_body = dU/dt + (V . grad) U,    dU/ds = (1 + eps) (tau . grad) U
+    """
+    U, A = (water.velocity, water.rate) if isinstance(water, LocalWater) else (water[0], water[1])
+    U_tau, U_n = to_body(U, mid.phi)
+    A_tau, A_n = to_body(A, mid.phi)
+    u_tau_s, u_n_s = tank.u_tau_s - kappa * U_n, tank.u_n_s + kappa * U_tau
+    gradient = None
+    if isinstance(water, LocalWater):
+        x_slope, y_slope = water.gradient[:, 0], water.gradient[:, 1]
+        tau, n = to_plane(1.0, 0.0, mid.phi), to_plane(0.0, 1.0, mid.phi)
+        tau_slope = to_body(x_slope * tau[0] + y_slope * tau[1], mid.phi)
+        n_slope = to_body(x_slope * n[0] + y_slope * n[1], mid.phi)
+        A_tau = A_tau + mid.V_tau * tau_slope[0] + mid.V_n * n_slope[0]
+        A_n = A_n + mid.V_tau * tau_slope[1] + mid.V_n * n_slope[1]
+        u_tau_s = u_tau_s - (1.0 + eps) * tau_slope[0]
+        u_n_s = u_n_s - (1.0 + eps) * tau_slope[1]
+        gradient = jnp.stack([tau_slope[1], n_slope[1]])
+    return _RelativeMotion(
+        u_tau=tank.u_tau - U_tau,
+        u_n=tank.u_n - U_n,
         u_tau_s=u_tau_s,
         u_n_s=u_n_s,
-        u_tau_t=V_tau_t - omega * U_n - A_tau,
-        u_n_t=V_n_t + omega * U_tau - A_n,
+        u_tau_t=tank.u_tau_t - omega * U_n - A_tau,
+        u_n_t=tank.u_n_t + omega * U_tau - A_n,
         U_n_gradient=gradient,
-        wet=None if immersion is None else immersion.wet,
-        wetting=None if immersion is None else immersion.wetting(u_n, mid.phi),
     )
 
 

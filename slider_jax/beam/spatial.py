@@ -305,16 +305,20 @@ def section_in_space(
     turning: Turning,
     structure: SpatialStructure,
     reference: SpatialReference,
-    water: Float[Array, "2 3"],
+    water: Float[Array, "2 3"] | None,
     t: Array,
 ) -> SpatialSection:
     """Returns the local state in each cell at time `t` [s].
 
-    `water` contains velocity [m/s] and acceleration [m/s^2] of uniform water, each (x, y, z).
+    `water` contains velocity [m/s] and acceleration [m/s^2] of uniform water, each (x, y, z). It
+    is None for still water.
     """
     dt, omega, curvature = reference.dt, turning.omega, turning.curvature
-    U, A = (turning.frame.to_frame(vector) for vector in water)
     V_t = mid.V.minus(reference.V).times(1.0 / dt)
+    u, u_s, u_t = mid.V, slope.V, V_t
+    if water is not None:
+        U, A = (turning.frame.to_frame(vector) for vector in water)
+        u, u_s, u_t = u.minus(U), u_s.plus(curvature.cross(U)), u_t.plus(omega.cross(U)).minus(A)
     return SpatialSection(
         t=t,
         omega=omega,
@@ -324,9 +328,9 @@ def section_in_space(
         strain=strain_in_space(mid.T.tau, structure, reference),
         V=mid.V,
         V_t=V_t,
-        u=mid.V.minus(U),
-        u_s=slope.V.plus(curvature.cross(U)),
-        u_t=V_t.plus(omega.cross(U)).minus(A),
+        u=u,
+        u_s=u_s,
+        u_t=u_t,
         twist_slope=reference.twist_slope,
         frame=turning.frame,
         structure=structure,

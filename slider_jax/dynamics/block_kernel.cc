@@ -11,16 +11,17 @@
 //     C = -B L_f,    D = -B R_v,    P_{c+1} = D_f,    p_{c+1} = (B r_c + C p_c)_f
 //
 // The suffixes v and f are the upper and the lower K rows. The conditions at the head give the motion
-// there, and the way back gives all other unknowns. The inverses need no row exchange: a body with
-// given forces behind and given motion ahead always has a solution, and the rows are in the order
+// there, and the way back gives all other unknowns. The inverses of cells need no row exchange: a body
+// with given forces behind and given motion ahead always has a solution, and the rows are in the order
 // stretch, turn, moment law, balances, so diagonal entries are of order 1/ds.
 //
 // The conditions are G_f f + G_v v = g at the tail and H_f f + H_v v = h at the head. Both are solved
 // with row exchange: tail_f = G_f^-1, P_0 = -tail_f G_v, head_v = (H_f P + H_v)^-1. The factors of a
 // robot are B, C and D (8 K^2 numbers per cell), tail_f, P_0, head_v and H_f (K^2 numbers each).
 //
-// The robots of a batch are factorised LANES at a time, with one robot per lane of a vector. The
-// values of a robot do not depend on those of other robots; only their rounding depends on whether
+// The robots of a batch are factorised LANES at a time, with one robot per lane of a vector. A single
+// robot is factorised in another order of operations, with one cell per lane where this is possible.
+// The values of a robot do not depend on those of other robots; only their rounding depends on whether
 // the robot is in a group of LANES.
 
 #include <cmath>
@@ -38,7 +39,10 @@ namespace {
 
 constexpr int LANES = 8;
 typedef double Vec __attribute__((vector_size(8 * LANES)));
+typedef int64_t Lanes __attribute__((vector_size(8 * LANES)));
 typedef double Unaligned __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
+
+constexpr Lanes LANE = {0, 1, 2, 3, 4, 5, 6, 7};
 
 inline Vec load(const double* x) { return *reinterpret_cast<const Unaligned*>(x); }
 inline void store(double* x, Vec v) { *reinterpret_cast<Unaligned*>(x) = v; }
@@ -170,6 +174,19 @@ template <bool ADD, int M, int N, int L, class X>
     for (int j = 0; j < L; j++) c[i][j] = sum[j];
   }
 }
+// c = a b for small matrices of one robot, inlined.
+template <int K>
+inline void multiply_small(const double (&a)[K][K], const double (&b)[K][K], double (&c)[K][K]) {
+#pragma GCC unroll 8
+  for (int i = 0; i < K; i++)
+#pragma GCC unroll 8
+    for (int j = 0; j < K; j++) {
+      double sum = a[i][0] * b[0][j];
+#pragma GCC unroll 8
+      for (int k = 1; k < K; k++) sum += a[i][k] * b[k][j];
+      c[i][j] = sum;
+    }
+}
 template <int M, int N, int L, class X>
 void multiply(const X (&a)[M][N], const X (&b)[N][L], X (&c)[M][L]) {
   product<false>(a, b, c);
@@ -229,13 +246,13 @@ inline double* lanes(X& x) {
 
 // Replaces the matrices L and R of a cell by B, and the halves of C and D in the order C_v, D_f, C_f,
 // D_v. P of the left node becomes P of the right node.
-template <int K, class X>
-[[gnu::noinline]] void factorise_cell(X* entries, X (&P)[K][K]) {
+template <int K>
+[[gnu::noinline]] void factorise_cell(Vec* entries, Vec (&P)[K][K]) {
   constexpr int N = 2 * K;
-  X A[N][N], L_f[N][K], R_v[N][K], C[N][K], D[N][K];
+  Vec A[N][N], L_f[N][K], R_v[N][K], C[N][K], D[N][K];
   for (int i = 0; i < N; i++)
     for (int k = 0; k < K; k++) {
-      const X *left = entries + i * N, *right = left + N * N;
+      const Vec *left = entries + i * N, *right = left + N * N;
       L_f[i][k] = -left[k];
       C[i][k] = -left[K + k];
       A[i][K + k] = right[k];
@@ -248,7 +265,7 @@ template <int K, class X>
   multiply(A, L_f, C);
   multiply(A, R_v, D);
   std::memcpy(entries, A, sizeof(A));
-  X* rest = entries + N * N;
+  Vec* rest = entries + N * N;
   std::memcpy(rest, C[0], sizeof(P));
   std::memcpy(rest + K * K, D[K], sizeof(P));
   std::memcpy(rest + 2 * K * K, C[K], sizeof(P));
@@ -256,96 +273,215 @@ template <int K, class X>
   std::memcpy(P, D[K], sizeof(P));
 }
 
-// Reads a number of LANES cells from each of G rows into lane g of x[0], x[step], ...
-template <int G, class X>
-inline void read_cells(const double* const* rows, X* x, int step, int64_t inside) {
-  if constexpr (G == 1) {
-    for (int64_t c = 0; c < inside; c++) x[c * step] = rows[0][c];
-  } else {
-    Vec of_cells[LANES];
-    for (int g = 0; g < G; g++) of_cells[g] = load(rows[g]);
-    transpose(of_cells);
-    for (int c = 0; c < LANES; c++) x[c * step] = of_cells[c];
-  }
+// Reads LANES cells of each of LANES robots: lane g of x[0], x[step], ... is from row g.
+inline void read_cells(const double* const* rows, Vec* x, int step) {
+  Vec of_cells[LANES];
+  for (int g = 0; g < LANES; g++) of_cells[g] = load(rows[g]);
+  transpose(of_cells);
+  for (int c = 0; c < LANES; c++) x[c * step] = of_cells[c];
 }
 
-template <int G, class X>
-inline void write_cells(const X* x, int step, double* const* rows) {
-  if constexpr (G == 1) {
-    for (int c = 0; c < LANES; c++) rows[0][c] = x[c * step];
-  } else {
-    Vec of_robots[LANES];
-    for (int c = 0; c < LANES; c++) of_robots[c] = x[c * step];
-    transpose(of_robots);
-    for (int g = 0; g < G; g++) store(rows[g], of_robots[g]);
-  }
+inline void write_cells(const Vec* x, int step, double* const* rows) {
+  Vec of_robots[LANES];
+  for (int c = 0; c < LANES; c++) of_robots[c] = x[c * step];
+  transpose(of_robots);
+  for (int g = 0; g < LANES; g++) store(rows[g], of_robots[g]);
 }
 
-// Factorises G robots: one, or LANES of them. X is a number of one robot, or a vector with one number
-// of each robot.
-template <int K, class X>
-void factorise(const double* const* left, const double* const* right, const double* const* tail,
-               const double* const* head, double* const* factors, int64_t cells) {
-  constexpr int N = 2 * K, G = sizeof(X) / sizeof(double), entries = 8 * K * K;
+// The factors of the tail's conditions: tail_f and P_0.
+template <int K>
+void factorise_tail(const Factors<K, double>& x, const double* tail) {
+  constexpr int N = 2 * K;
+  double G_f[K][K];
+  for (int i = 0; i < K; i++)
+    for (int j = 0; j < K; j++) G_f[i][j] = tail[i * N + j];
+  invert(G_f, x.tail_f);
+  for (int i = 0; i < K; i++)
+    for (int j = 0; j < K; j++) {
+      double sum = 0.0;
+      for (int m = 0; m < K; m++) sum -= x.tail_f[i * K + m] * tail[m * N + K + j];
+      x.P[i * K + j] = sum;
+    }
+}
+
+// The factors of the head's conditions: head_v and H_f. P is that of the head.
+template <int K>
+void factorise_head(const Factors<K, double>& x, const double* head, const double (&P)[K][K]) {
+  constexpr int N = 2 * K;
+  double H[K][K];
+  for (int i = 0; i < K; i++)
+    for (int j = 0; j < K; j++) {
+      double sum = head[i * N + K + j];
+      for (int m = 0; m < K; m++) sum += head[i * N + m] * P[m][j];
+      H[i][j] = sum;
+      x.H_f[i * K + j] = head[i * N + j];
+    }
+  invert(H, x.head_v);
+}
+
+// Factorises one robot. B, C and D follow from factors without P, which are computed for LANES cells
+// at a time, and from E and W, which pass along the body:
+//
+//     G = [L_v, R_f]^-1,    F = -G L_f,    V = -G R_v,
+//     E = (1 - F_v P)^-1,   W = F_f P E,   P_{c+1} = V_f + W V_v,
+//     B = [E G_v, G_f + W G_v],    C = [E F_v, F_f + W F_v],    D = [E V_v, P_{c+1}]
+template <int K>
+void factorise_one(const double* left, const double* right, const double* tail, const double* head,
+                   double* factors, int64_t cells) {
+  constexpr int N = 2 * K;
+  struct Tile {
+    Vec G_v[K][N], G_f[K][N], F_v[K][K], F_f[K][K], V_v[K][K], V_f[K][K], E[K][K], W[K][K];
+  };
   const int64_t stride = padded(cells);
-  X* tile = work_of<X>(LANES * entries);
-  double last[2 * G][LANES] = {};
-  X P[K][K];
-  for (int g = 0; g < G; g++) {
-    const Factors<K, double> x(factors[g], cells);
-    double G_f[K][K];
+  const Factors<K, double> x(factors, cells);
+  Tile* tiles = work_of<Tile>(stride / LANES);
+  for (int64_t first = 0; first < cells; first += LANES) {
+    const int64_t inside = cells - first < LANES ? cells - first : LANES;
+    const auto entry = [&](const double* matrix, int i, int j) {
+      const double* at = matrix + (i * N + j) * cells + first;
+      if (inside == LANES) return load(at);
+      // A vector may read into the next row, but not beyond the matrix.
+      if (i * N + j < N * N - LANES) return LANE < inside ? load(at) : Vec{};
+      Vec found{};
+      std::memcpy(&found, at, inside * sizeof(double));
+      return found;
+    };
+    Vec G[N][N], L_f[N][K], R_v[N][K], F[N][K], V[N][K];
+    for (int i = 0; i < N; i++)
+      for (int j = 0; j < K; j++) {
+        L_f[i][j] = -entry(left, i, j);
+        R_v[i][j] = -entry(right, i, K + j);
+        G[i][j] = entry(left, i, K + j);
+        G[i][K + j] = entry(right, i, j);
+      }
+    for (int64_t c = inside; c < LANES; c++)  // the unit matrix beyond the head
+      for (int i = 0; i < N; i++) lanes(G[i][i])[c] = 1.0;
+    invert_in_place(G);
+    multiply(G, L_f, F);
+    multiply(G, R_v, V);
+    Tile& t = tiles[first / LANES];
+    std::memcpy(t.G_v, G[0], sizeof(t.G_v));
+    std::memcpy(t.G_f, G[K], sizeof(t.G_f));
+    std::memcpy(t.F_v, F[0], sizeof(t.F_v));
+    std::memcpy(t.F_f, F[K], sizeof(t.F_f));
+    std::memcpy(t.V_v, V[0], sizeof(t.V_v));
+    std::memcpy(t.V_f, V[K], sizeof(t.V_f));
+    std::memset(t.E, 0, sizeof(t.E));
+    std::memset(t.W, 0, sizeof(t.W));
+  }
+  factorise_tail(x, tail);
+  double P[K][K];
+  std::memcpy(P, x.P, sizeof(P));
+  for (int64_t c = 0; c < cells; c++) {
+    Tile& t = tiles[c / LANES];
+    const auto of_cell = [&](Vec(&matrix)[K][K], double(&found)[K][K]) {
+      for (int i = 0; i < K; i++)
+        for (int j = 0; j < K; j++) found[i][j] = lanes(matrix[i][j])[c % LANES];
+    };
+    double F_v[K][K], F_f[K][K], V_v[K][K], E[K][K], P_E[K][K], W[K][K];
+    of_cell(t.F_v, F_v);
+    of_cell(t.F_f, F_f);
+    of_cell(t.V_v, V_v);
+    multiply_small(F_v, P, E);
     for (int i = 0; i < K; i++)
-      for (int j = 0; j < K; j++) G_f[i][j] = tail[g][i * N + j];
-    invert(G_f, x.tail_f);
+      for (int j = 0; j < K; j++) W[i][j] = (i == j ? 1.0 : 0.0) - E[i][j];
+    if constexpr (K == 3) {
+      invert_3(W, E);
+    } else {
+      invert_in_place(W);
+      std::memcpy(E, W, sizeof(E));
+    }
+    multiply_small(P, E, P_E);
+    multiply_small(F_f, P_E, W);
+    multiply_small(W, V_v, P_E);
+    of_cell(t.V_f, P);
+    for (int i = 0; i < K; i++)
+      for (int j = 0; j < K; j++) P[i][j] += P_E[i][j];
     for (int i = 0; i < K; i++)
       for (int j = 0; j < K; j++) {
-        double sum = 0.0;
-        for (int m = 0; m < K; m++) sum -= x.tail_f[i * K + m] * tail[g][m * N + K + j];
-        x.P[i * K + j] = lanes(P[i][j])[g] = sum;
+        lanes(t.E[i][j])[c % LANES] = E[i][j];
+        lanes(t.W[i][j])[c % LANES] = W[i][j];
       }
+  }
+  factorise_head(x, head, P);
+  for (int64_t first = 0; first < cells; first += LANES) {
+    Tile& t = tiles[first / LANES];
+    Vec B_v[K][N], C_v[K][K], D_v[K][K];
+    multiply(t.E, t.G_v, B_v);
+    multiply(t.E, t.F_v, C_v);
+    multiply(t.E, t.V_v, D_v);
+    multiply_add(t.W, t.G_v, t.G_f);
+    multiply_add(t.W, t.F_v, t.F_f);
+    multiply_add(t.W, t.V_v, t.V_f);
+    for (int i = 0; i < K; i++) {
+      for (int j = 0; j < N; j++) {
+        store(x.B + (i * N + j) * stride + first, B_v[i][j]);
+        store(x.B + ((K + i) * N + j) * stride + first, t.G_f[i][j]);
+      }
+      for (int j = 0; j < K; j++) {
+        store(x.C_v + (i * K + j) * stride + first, C_v[i][j]);
+        store(x.D_f + (i * K + j) * stride + first, t.V_f[i][j]);
+        for (int64_t c = 0; c < LANES; c++) {
+          x.C_f(first + c)[i * K + j] = lanes(t.F_f[i][j])[c];
+          x.D_v(first + c)[i * K + j] = lanes(D_v[i][j])[c];
+        }
+      }
+    }
+  }
+}
+
+// Factorises LANES robots.
+template <int K>
+void factorise_group(const double* const* left, const double* const* right,
+                     const double* const* tail, const double* const* head, double* const* factors,
+                     int64_t cells) {
+  constexpr int N = 2 * K, entries = 8 * K * K;
+  const int64_t stride = padded(cells);
+  Vec* tile = work_of<Vec>(LANES * entries);
+  double last[2 * LANES][LANES] = {};
+  Vec P[K][K];
+  for (int g = 0; g < LANES; g++) {
+    const Factors<K, double> x(factors[g], cells);
+    factorise_tail(x, tail[g]);
+    for (int i = 0; i < K; i++)
+      for (int j = 0; j < K; j++) lanes(P[i][j])[g] = x.P[i * K + j];
   }
   for (int64_t first = 0; first < cells; first += LANES) {
     const int64_t inside = cells - first < LANES ? cells - first : LANES;
     for (int e = 0; e < N * N; e++) {
-      const double *l[G], *r[G];
-      for (int g = 0; g < G; g++) {
+      const double *l[LANES], *r[LANES];
+      for (int g = 0; g < LANES; g++) {
         l[g] = left[g] + e * cells + first;
         r[g] = right[g] + e * cells + first;
         // A vector may read into the next row, but not beyond the matrix.
         if (e < N * N - LANES || inside == LANES) continue;
         std::memcpy(last[g], l[g], inside * sizeof(double));
-        std::memcpy(last[G + g], r[g], inside * sizeof(double));
+        std::memcpy(last[LANES + g], r[g], inside * sizeof(double));
         l[g] = last[g];
-        r[g] = last[G + g];
+        r[g] = last[LANES + g];
       }
-      read_cells<G>(l, tile + e, entries, inside);
-      read_cells<G>(r, tile + N * N + e, entries, inside);
+      read_cells(l, tile + e, entries);
+      read_cells(r, tile + N * N + e, entries);
     }
     for (int64_t c = 0; c < inside; c++) factorise_cell(tile + c * entries, P);
-    std::memset(tile + inside * entries, 0, (LANES - inside) * entries * sizeof(X));
+    std::memset(tile + inside * entries, 0, (LANES - inside) * entries * sizeof(Vec));
     for (int e = 0; e < N * N + N * K; e++) {
-      double* rows[G];
-      for (int g = 0; g < G; g++) rows[g] = factors[g] + e * stride + first;
-      write_cells<G>(tile + e, entries, rows);
+      double* rows[LANES];
+      for (int g = 0; g < LANES; g++) rows[g] = factors[g] + e * stride + first;
+      write_cells(tile + e, entries, rows);
     }
-    for (int g = 0; g < G; g++) {
+    for (int g = 0; g < LANES; g++) {
       const Factors<K, double> x(factors[g], cells);
       for (int64_t c = 0; c < LANES; c++)
         for (int e = 0; e < N * K; e++)
           x.C_f(first + c)[e] = lanes(tile[c * entries + N * N + N * K + e])[g];
     }
   }
-  for (int g = 0; g < G; g++) {
-    const Factors<K, double> x(factors[g], cells);
-    double H[K][K];
+  for (int g = 0; g < LANES; g++) {
+    double of_robot[K][K];
     for (int i = 0; i < K; i++)
-      for (int j = 0; j < K; j++) {
-        double sum = head[g][i * N + K + j];
-        for (int m = 0; m < K; m++) sum += head[g][i * N + m] * lanes(P[m][j])[g];
-        H[i][j] = sum;
-        x.H_f[i * K + j] = head[g][i * N + j];
-      }
-    invert(H, x.head_v);
+      for (int j = 0; j < K; j++) of_robot[i][j] = lanes(P[i][j])[g];
+    factorise_head({factors[g], cells}, head[g], of_robot);
   }
 }
 
@@ -480,23 +616,39 @@ void solve(const double* const* factors, const double* const* r, const double* c
   }
 }
 
-// A step of Newton's method: subtracts the solution `better` from y, and returns the largest change
-// of an unknown relative to max(scale, |y|), or NaN if one is not finite.
+inline Vec absolute(Vec x) { return x < 0.0 ? -x : x; }
+
+// A step of Newton's method: better = y - change. `better` may be y. Returns the largest change of an
+// unknown relative to max(scale, |y|), or NaN if one is not finite.
 template <int K>
-double correct(const double* y, const double* scale, double* better, int64_t cells) {
-  double largest = 0.0, invalid = 0.0;
+double correct(const double* y, const double* scale, const double* change, double* better,
+               int64_t cells) {
+  Vec largest{}, invalid{};
+  const auto improve = [&](Vec before, Vec step, double least) {
+    const Vec magnitude = absolute(before);
+    const Vec ratio = absolute(step) / (magnitude > least ? magnitude : Vec{} + least);
+    largest = ratio > largest ? ratio : largest;
+    invalid += 0.0 * ratio;
+    return before - step;
+  };
   for (int i = 0; i < 2 * K; i++) {
-    const double* before = y + i * (cells + 1);
-    double* change = better + i * (cells + 1);
-    for (int64_t c = 0; c <= cells; c++) {
-      const double magnitude = std::abs(before[c]);
-      const double ratio = std::abs(change[c]) / (magnitude > scale[i] ? magnitude : scale[i]);
-      largest = ratio > largest ? ratio : largest;
-      invalid += 0.0 * ratio;
-      change[c] = before[c] - change[c];
-    }
+    const int64_t start = i * (cells + 1);
+    const double *before = y + start, *step = change + start;
+    double* after = better + start;
+    int64_t c = 0;
+    for (; c + LANES <= cells + 1; c += LANES)
+      store(after + c, improve(load(before + c), load(step + c), scale[i]));
+    const size_t rest = (cells + 1 - c) * sizeof(double);
+    Vec last{}, last_step{};
+    std::memcpy(&last, before + c, rest);
+    std::memcpy(&last_step, step + c, rest);
+    last = improve(last, last_step, scale[i]);
+    std::memcpy(after + c, &last, rest);
   }
-  return largest + invalid;
+  double found = 0.0;
+  for (int lane = 0; lane < LANES; lane++)
+    found = (largest[lane] > found ? largest[lane] : found) + invalid[lane];
+  return found;
 }
 
 // The transpose of `solve`: from (2K, nodes) to the cells, the tail and the head.
@@ -598,37 +750,54 @@ void factorise_batch(In left, In right, In tail, In head, Out factors) {
     to[i] = factors->typed_data() + i * factor_size<K>(cells);
   int64_t i = 0;
   for (; i + LANES <= batch.robots; i += LANES)
-    factorise<K, Vec>(&l[i], &r[i], &t[i], &h[i], &to[i], cells);
-  for (; i < batch.robots; i++)
-    factorise<K, double>(&l[i], &r[i], &t[i], &h[i], &to[i], cells);
+    factorise_group<K>(&l[i], &r[i], &t[i], &h[i], &to[i], cells);
+  for (; i < batch.robots; i++) factorise_one<K>(l[i], r[i], t[i], h[i], to[i], cells);
+}
+
+constexpr int TOGETHER = 4;
+
+// Solves for all robots. The solution of robot i is at to(i), and finish(i) is called after it. Up to
+// TOGETHER robots, from a multiple of TOGETHER, are solved before the first of them is finished.
+template <int K, class To, class Finish>
+void solve_each(const Batch& batch, In factors, In cells, In tail, In head, To to, Finish finish) {
+  const int64_t count = cells.dimensions().back();
+  const auto f = batch.rows(factors, 1), r = batch.rows(cells, 2);
+  const auto t = batch.rows(tail, 1), h = batch.rows(head, 1);
+  int64_t i = 0;
+  for (; i + TOGETHER <= batch.robots; i += TOGETHER) {
+    double* y[TOGETHER];
+    for (int g = 0; g < TOGETHER; g++) y[g] = to(i + g);
+    solve<K, TOGETHER>(&f[i], &r[i], &t[i], &h[i], y, count);
+    for (int g = 0; g < TOGETHER; g++) finish(i + g);
+  }
+  for (; i < batch.robots; i++) {
+    double* y[1] = {to(i)};
+    solve<K, 1>(&f[i], &r[i], &t[i], &h[i], y, count);
+    finish(i);
+  }
 }
 
 template <int K>
 void solve_batch(In factors, In cells, In tail, In head, Out y) {
-  constexpr int TOGETHER = 4;
-  const int64_t count = cells.dimensions().back();
-  const Batch batch(y->dimensions(), 2);
-  const auto f = batch.rows(factors, 1), r = batch.rows(cells, 2);
-  const auto t = batch.rows(tail, 1), h = batch.rows(head, 1);
-  std::vector<double*> to(batch.robots);
-  for (int64_t i = 0; i < batch.robots; i++)
-    to[i] = y->typed_data() + i * 2 * K * (count + 1);
-  int64_t i = 0;
-  for (; i + TOGETHER <= batch.robots; i += TOGETHER)
-    solve<K, TOGETHER>(&f[i], &r[i], &t[i], &h[i], &to[i], count);
-  for (; i < batch.robots; i++) solve<K, 1>(&f[i], &r[i], &t[i], &h[i], &to[i], count);
+  const int64_t size = 2 * K * (cells.dimensions().back() + 1);
+  const auto to = [&](int64_t i) { return y->typed_data() + i * size; };
+  solve_each<K>(Batch(y->dimensions(), 2), factors, cells, tail, head, to, [](int64_t) {});
 }
 
 template <int K>
-void correct_batch(In factors, In cells, In tail, In head, In y, In scale, Out better, Out size) {
-  solve_batch<K>(factors, cells, tail, head, better);
-  const int64_t count = cells.dimensions().back();
+void correct_batch(In factors, In cells, In tail, In head, In scale, In y, In sizes, Out better,
+                   Out last_sizes) {
+  const int64_t count = cells.dimensions().back(), size = 2 * K * (count + 1);
   const Batch batch(better->dimensions(), 2);
-  const auto from = batch.rows(y, 2), scales = batch.rows(scale, 2);
-  for (int64_t i = 0; i < batch.robots; i++)
-    size->typed_data()[i] =
-        correct<K>(from[i], scales[i], better->typed_data() + i * 2 * K * (count + 1),
-                   count);
+  const auto scales = batch.rows(scale, 2), from = batch.rows(y, 2), before = batch.rows(sizes, 1);
+  static thread_local std::vector<double> changes;
+  changes.resize(TOGETHER * size);
+  const auto to = [&](int64_t i) { return changes.data() + i % TOGETHER * size; };
+  solve_each<K>(batch, factors, cells, tail, head, to, [&](int64_t i) {
+    double* last = last_sizes->typed_data() + 2 * i;
+    last[0] = before[i][1];
+    last[1] = correct<K>(from[i], scales[i], to(i), better->typed_data() + i * size, count);
+  });
 }
 
 template <int K>
@@ -666,9 +835,10 @@ ffi::Error Solve(In factors, In cells, In tail, In head, Out y) {
                      [&](auto K) { solve_batch<K()>(factors, cells, tail, head, y); });
 }
 
-ffi::Error Correct(In factors, In cells, In tail, In head, In y, In scale, Out better, Out size) {
+ffi::Error Correct(In factors, In cells, In tail, In head, In scale, In y, In sizes, Out better,
+                   Out last_sizes) {
   return with_forces(tail.dimensions().back(), [&](auto K) {
-    correct_batch<K()>(factors, cells, tail, head, y, scale, better, size);
+    correct_batch<K()>(factors, cells, tail, head, scale, y, sizes, better, last_sizes);
   });
 }
 
@@ -688,6 +858,7 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(
     ffi::Ffi::Bind().Arg<In>().Arg<In>().Arg<In>().Arg<In>().Ret<In>());
 XLA_FFI_DEFINE_HANDLER_SYMBOL(slider_correct, Correct,
                               ffi::Ffi::Bind()
+                                  .Arg<In>()
                                   .Arg<In>()
                                   .Arg<In>()
                                   .Arg<In>()

@@ -119,8 +119,11 @@ def _target(name: str) -> str:
     return f"slider_{name}_{library_digest()}"
 
 
-def _call(name: str, *shapes):
-    return jax.ffi.ffi_call(_target(name), shapes, vmap_method="expand_dims")
+def _call(name: str, *shapes, in_place: dict[int, int] | None = None):
+    """Returns the function `name`; `in_place` maps inputs to the outputs that may replace them."""
+    return jax.ffi.ffi_call(
+        _target(name), shapes, vmap_method="expand_dims", input_output_aliases=in_place
+    )
 
 
 def factorise(
@@ -144,12 +147,20 @@ def solve(factors: Float[Array, " size"], rhs) -> Float[Array, "2k nodes"]:
 
 
 def correct(
-    factors: Float[Array, " size"], rhs, y: Float[Array, "2k nodes"], scale: Float[Array, "2k 1"]
-) -> tuple[Float[Array, "2k nodes"], Float[Array, ""]]:
-    """Returns y minus the solution for `rhs`, and the largest change divided by max(scale, |y|)."""
-    shapes = jax.ShapeDtypeStruct(y.shape, y.dtype), jax.ShapeDtypeStruct((), y.dtype)
-    better, size = _call("correct", *shapes)(factors, *rhs, y, scale)
-    return better, size
+    factors: Float[Array, " size"],
+    rhs,
+    scale: Float[Array, "2k 1"],
+    y: Float[Array, "2k nodes"],
+    sizes: Float[Array, "2"],
+) -> tuple[Float[Array, "2k nodes"], Float[Array, "2"]]:
+    """Returns y minus the solution for `rhs`, and the sizes of the last two changes.
+
+    The size of a change is the largest value of |change| / max(scale, |y|). The results replace `y`
+    and `sizes` in memory. Under `vmap`, these two must therefore be batched, as they are in a loop.
+    """
+    shapes = (jax.ShapeDtypeStruct(x.shape, x.dtype) for x in (y, sizes))
+    better, last = _call("correct", *shapes, in_place={5: 0, 6: 1})(factors, *rhs, scale, y, sizes)
+    return better, last
 
 
 def solve_transposed(factors: Float[Array, " size"], y: Float[Array, "2k nodes"]):

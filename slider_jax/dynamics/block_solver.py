@@ -372,15 +372,17 @@ class BeamSolver(lx.AbstractLinearSolver):
             solution = _solve_all(factors, vector)
         return solution, lx.RESULTS.successful, {}
 
-    def correct(self, factors, rhs, y, scale):
-        """Returns y - x, where x solves for `rhs`, and the largest |x| / max(scale, |y|).
+    def correct(self, factors, rhs, scale, y, sizes):
+        """Returns y - x, where x solves for `rhs`, and the `sizes` (2,) of the last two changes.
 
-        `factors` are the first part of a state. Unless `differentiable`, there are no derivatives.
+        The size of a change is the largest |x| / max(scale, |y|). `factors` are the first part of a
+        state. Unless `differentiable`, there are no derivatives.
         """
         if isinstance(factors, _Compiled) and not self.differentiable:
-            return block_kernel.correct(factors.factors, rhs, y, scale)
+            return block_kernel.correct(factors.factors, rhs, scale, y, sizes)
         change = _solve_all(factors, rhs)
-        return y - change, jnp.max(jnp.abs(change / jnp.maximum(scale, jnp.abs(y))))
+        size = jnp.max(jnp.abs(change / jnp.maximum(scale, jnp.abs(y))))
+        return y - change, jnp.stack([sizes[1], size])
 
     def transpose(self, state, options):
         factors, transposed = state

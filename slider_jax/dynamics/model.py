@@ -54,8 +54,9 @@ class Model(eqx.Module):
     pressure_law: PressureLaw
     drive: Drive
     support: Support
-    water: Float[Array, "2"] | tuple[Scalar, Scalar] | WaterField = (0.0, 0.0)
-    """Steady uniform velocity (U_x, U_y) [m/s] of the water, or a nonuniform velocity field."""
+    water: Float[Array, "2"] | tuple[Scalar, Scalar] | WaterField | None = None
+    """Steady uniform velocity (U_x, U_y) [m/s] of the water, or a nonuniform velocity field, or
+    None for still water. A velocity of 0 gives the same motion as None in more computing time."""
     actuators: tuple[Actuator, ...] = ()
     """Actuators in addition to the chambers."""
     space: SpaceSettings | None = None
@@ -91,7 +92,8 @@ class Model(eqx.Module):
 
         It includes `WaterMotion` effects. A `WaterField` has no uniform part.
         """
-        uniform = (0.0, 0.0) if isinstance(self.water, WaterField) else self.water
+        nonuniform = self.water is None or isinstance(self.water, WaterField)
+        uniform = (0.0, 0.0) if nonuniform else self.water
         velocity = jnp.stack([jnp.asarray(u, float) for u in uniform])
         for effect in of_place(self.effects, WaterMotion):
             velocity = velocity + jnp.stack(effect.velocity(t))
@@ -99,11 +101,14 @@ class Model(eqx.Module):
 
     def water_at(
         self, place: Callable[[], Float[Array, "2 cells"]], t: Array
-    ) -> Float[Array, "2 2"] | LocalWater:
+    ) -> Float[Array, "2 2"] | LocalWater | None:
         """Returns velocity and acceleration of uniform water at `t` [s], or the local water.
 
-        `place` returns the positions [m] of the cells; it is called only for a `WaterField`.
+        The value is None for still water. `place` returns the positions [m] of the cells; it is
+        called only for a `WaterField`.
         """
+        if self.water is None and not of_place(self.effects, WaterMotion):
+            return None
         uniform = jnp.stack(jax.jvp(self.water_velocity, (t,), (jnp.ones_like(t),)))
         if not isinstance(self.water, WaterField):
             return uniform

@@ -18,6 +18,7 @@ import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import optimistix as optx
+from jaxtyping import Array
 
 from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
 
@@ -80,8 +81,7 @@ class BeamNewton(optx.AbstractRootFinder):
         def correct(_, values):
             return self._simplified_step(residual, factors, options["scale"], values)
 
-        infinite = jnp.asarray(jnp.inf, y.dtype)
-        y, *sizes = jax.lax.fori_loop(0, self.corrections, correct, (y, infinite, infinite))
+        y, sizes = jax.lax.fori_loop(0, self.corrections, correct, (y, _no_steps(y)))
         return y, _error(*sizes), fn(y, args)[1]
 
     def terminate(self, fn, y, args, options, state, tags):
@@ -106,27 +106,26 @@ class BeamNewton(optx.AbstractRootFinder):
         Derivatives of the root do not depend on the guess, so the steps are not differentiated.
         """
         guess, args, factors, scale = jax.lax.stop_gradient((guess, args, factors, scale))
-        infinite = jnp.asarray(jnp.inf, guess.dtype)
         limit = max(REUSE_TOLERANCE * self.rtol, ROUNDING)
 
         def better(values):
             return self._simplified_step(lambda y: fn(y, args), factors, scale, values)
 
         def unfinished(state):
-            count, (_, *sizes) = state
+            count, (_, sizes) = state
             return usable & (count < self.max_reused) & (_error(*sizes) >= limit)
 
         # Every stage needs the first steps. Without a condition, a batch computes them faster.
         first = jax.lax.fori_loop(
-            0, self.corrections, lambda _, values: better(values), (guess, infinite, infinite)
+            0, self.corrections, lambda _, values: better(values), (guess, _no_steps(guess))
         )
         start = self.corrections, first
-        _, (y, *sizes) = jax.lax.while_loop(
+        _, (y, sizes) = jax.lax.while_loop(
             unfinished, lambda state: (state[0] + 1, better(state[1])), start
         )
         error = _error(*sizes)
         found = usable & (error < limit)
-        return jnp.where(found, y, guess), jnp.where(found, error, infinite)
+        return jnp.where(found, y, guess), jnp.where(found, error, jnp.inf)
 
     def solve_stage(self, fn, jacobian, guess, args, factors, scale, ok, most) -> optx.Solution:
         """Returns the root of `fn`, found with the `factors` of another stage if they suffice.
@@ -147,9 +146,13 @@ class BeamNewton(optx.AbstractRootFinder):
 
     def _simplified_step(self, residual, factors, scale, values):
         """Returns y after one more step with the factors, and the sizes of the last two steps."""
-        y, _, before = values
-        y, size = self.linear_solver.correct(factors, residual(y), y, scale)
-        return y, before, size
+        y, sizes = values
+        return self.linear_solver.correct(factors, residual(y), scale, y, sizes)
+
+
+def _no_steps(y) -> Array:
+    """Returns the sizes (2,) of the last two steps before the first step: infinite."""
+    return jnp.full(2, jnp.inf, y.dtype)
 
 
 def _error(before, last):

@@ -37,8 +37,8 @@ class Stage(eqx.Module):
     """The quantities that are constant while an implicit stage is solved.
 
     `water` contains velocity [m/s] and acceleration [m/s^2] of uniform water, each (x, y), or it is
-    the water at the cells. `phi_head` [rad] and `load_head` are reference values at the head;
-    `load_head` is the filtered load (T, N, M).
+    the water at the cells, or None for still water. `phi_head` [rad] and `load_head` are reference
+    values at the head; `load_head` is the filtered load (T, N, M).
     """
 
     structure: Structure
@@ -49,7 +49,7 @@ class Stage(eqx.Module):
     load_head: Float[Array, "3"]
     pressure: Float[Array, " cells"]
     active_moment: Float[Array, " cells"]
-    water: Float[Array, "2 2"] | LocalWater
+    water: Float[Array, "2 2"] | LocalWater | None
     t: Array
     actuators: tuple[Actuator, ...] = ()
     level: Array | None = None
@@ -175,8 +175,11 @@ def tail_rows(tail: Float[Array, "6"]) -> Float[Array, "3"]:
 
 def mid_and_slope(y: Unknowns, ds) -> tuple[Fields, Fields]:
     """Returns the means and slopes of the six unknowns in each cell."""
-    left, right = y[:, :-1], y[:, 1:]
-    return fields(0.5 * (left + right)), fields((right - left) / ds)
+    left, right = [row[:-1] for row in y], [row[1:] for row in y]
+    mid = (0.5 * (a + b) for a, b in zip(left, right, strict=True))
+    per_length = 1.0 / ds
+    slope = ((b - a) * per_length for a, b in zip(left, right, strict=True))
+    return Fields(*mid), Fields(*slope)
 
 
 def at_cells(y: Unknowns, stage: Stage) -> Section:

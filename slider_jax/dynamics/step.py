@@ -124,7 +124,8 @@ def _blend(base: PyTree, last: PyTree, weight) -> PyTree:
 def _reference(memory: Memory, mesh: Mesh, dt) -> Reference:
     V_tau, V_n, phi = mesh.grid.mid(memory.motion)
     kappa = mesh.grid.slope(memory.motion[2])
-    return Reference(V_tau, V_n, phi, kappa, memory.strain, memory.internal, dt)
+    lag = mesh.structure.damping_time / dt
+    return Reference(V_tau, V_n, phi, kappa, memory.strain, memory.internal, dt, lag)
 
 
 def _anchor(memory: Memory, support: Support, t) -> Float[Array, "2"]:

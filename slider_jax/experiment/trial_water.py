@@ -9,10 +9,11 @@ from slider_jax.water import VortexStreet, WaterField, karman_speed, read_field
 
 def water_of(
     experiment: ExperimentTable, trial: Trial, folder: Path
-) -> tuple[float, float] | WaterField:
+) -> tuple[float, float] | WaterField | None:
     """Returns the water of a trial, checked for the time and the straight body's path.
 
-    `folder` contains the file of a field. Raises `InputError` if the field is invalid.
+    The value is None for still water. `folder` contains the file of a field. Raises `InputError` if
+    the field is invalid.
     """
     table = experiment.water
     if table.vortex_street is not None:
@@ -22,7 +23,7 @@ def water_of(
             values["advection"] = stream[0] + karman_speed(*of_speed)
         return VortexStreet(stream=stream, **values)
     if table.field is None:
-        return table.velocity
+        return table.velocity if any(table.velocity) else None
     path = folder / table.field
     field = read_field(path)
     duration = trial.lead + trial.duration

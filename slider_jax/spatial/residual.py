@@ -39,7 +39,7 @@ class SpatialStage(eqx.Module):
 
     `frame` (4, nodes) are the quaternions at the start of the step. `theta` (3, nodes) [rad] are
     the reference values of theta. `water` contains velocity [m/s] and acceleration [m/s^2] of the
-    water, each (x, y, z).
+    water, each (x, y, z). It is None for still water.
     """
 
     structure: SpatialStructure
@@ -49,7 +49,7 @@ class SpatialStage(eqx.Module):
     frame: Quaternion
     theta: Vec
     active_moment: Vec
-    water: Float[Array, "2 3"]
+    water: Float[Array, "2 3"] | None
     t: Array
     tendons: TendonLines | None = None
     chambers: ChamberLines | None = None

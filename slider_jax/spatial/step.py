@@ -261,7 +261,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             twist_slope=slope,
             dt=dt,
         )
-        water = jnp.stack(jax.jvp(model.water_velocity, (t,), (jnp.ones_like(t),)))
+        water = model.water_at(lambda: jnp.zeros((2, len(zero))), t)
         pressure = chambers.acting
         active = Vec(zero, pressure @ bending_n, pressure @ bending_b)
         stage = SpatialStage(
@@ -272,7 +272,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             frame=start,
             theta=Vec(*memory.theta),
             active_moment=active if places is None else Vec(zero, zero, zero),
-            water=_space(water),
+            water=None if water is None else _space(water),
             t=t,
             tendons=tendons,
             chambers=chamber_lines(places, pressure, mesh.chambers),

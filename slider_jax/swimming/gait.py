@@ -68,9 +68,7 @@ def to_swimmer(model: Model, gait: Gait | None = None) -> Model:
             f"effects: given {moving[0].name()}, which moves the water; a free swimmer's speed is "
             "relative to still water: remove this effect"
         )
-    model = replace(
-        model, support=Free(jnp.zeros(()), jnp.zeros(())), water=(jnp.zeros(()), jnp.zeros(()))
-    )
+    model = replace(model, support=Free(jnp.zeros(()), jnp.zeros(())), water=None)
     return model if gait is None else driven(model, gait)
 
 
@@ -108,7 +106,7 @@ def to_climber(
         effects=(Gravity(G), *kept),
         drive=replace(model.drive, waves=waves),
         support=PinnedLink(link, jnp.where(is_driven(model), frequency, 0.0), pin_phase),
-        water=(0.0, 0.0),
+        water=None,
     )
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 

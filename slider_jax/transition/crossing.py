@@ -34,7 +34,6 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model
 from slider_jax.experiment.transition_table import TransitionTable
 from slider_jax.supports import GrippingLink, Spines
-from slider_jax.water import WaterField
 
 
 class GaitSchedule(NamedTuple):
@@ -116,7 +115,7 @@ def to_crosser(experiment: Experiment) -> Model:
             "gait's schedule to the experiment file"
         )
     model = to_model(experiment, 0)
-    if isinstance(model.water, WaterField) or any(experiment.water.velocity):
+    if model.water is not None:
         raise InputError("water: given moving water; allowed is still water below the surface")
     if not experiment.robot.has_density:
         raise InputError(
@@ -139,9 +138,9 @@ def to_crosser(experiment: Experiment) -> Model:
         heading=table.heading,
     )
     model = eqx.tree_at(
-        lambda m: (m.effects, m.support, m.water, m.waterline),
+        lambda m: (m.effects, m.support, m.waterline),
         model,
-        ((*kept, weight), link, (0.0, 0.0), Waterline(table.depth, 0.0, table.thickness)),
+        ((*kept, weight), link, Waterline(table.depth, 0.0, table.thickness)),
         is_leaf=lambda x: x is None,
     )
     model = with_schedule(model, schedule)

@@ -91,6 +91,7 @@ def stage_of(model: Model, numerics: Numerics, y_reference, dt, t=0.0, active_mo
         strain=T / mesh.structure.EA,
         internal=(),
         dt=jnp.asarray(dt, float),
+        lag=mesh.structure.damping_time / dt,
     )
     return Stage(
         structure=mesh.structure,
