@@ -49,14 +49,14 @@ def numerics(nodes: int) -> Numerics:
     return Numerics(*split_cells(nodes, 0.07, 0.3))
 
 
-def run(model: Model, nodes=NODES, steps=STEPS, strides=STRIDES):
+def run(model: Model, nodes=NODES, steps=STEPS, strides=STRIDES, checkpoint=False):
     """Returns thrust [N] and tip [m] at every step, (steps, 2), and whether all steps converged."""
 
     def save(x):
         return jnp.stack([obs.thrust(x), obs.tip(x)])
 
     times = TimeGrid.per_stride(FREQUENCY, steps, strides)
-    out = rollout(model, times, save, numerics(nodes), checkpoint=False)
+    out = rollout(model, times, save, numerics(nodes), checkpoint=checkpoint)
     return out.saved, out.ok
 
 

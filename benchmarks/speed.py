@@ -5,7 +5,7 @@
 A cost is the CPU time of one core divided by the simulated time, and in a batch also divided by the
 number of robots. The smallest cost of several repeats is reported. The benchmark also measures the
 error with the timed mesh and time step. Without `--peer-python`, PyElastica is omitted. `--growth`
-adds tables and a plot of the cost against the number of nodes and the batch size.
+adds tables and a plot of the cost against the number of nodes and the batch size, and the memory.
 """
 
 import argparse
@@ -124,6 +124,52 @@ def gradient_ratio(repeats: int) -> float:
     return sorted(ratios)[len(ratios) // 2]
 
 
+def reverse_gradient(repeats: int) -> dict:
+    """Returns cost and memory of the thrust's derivatives with respect to all numbers of the model.
+
+    `ratio` is their cost divided by the cost of the thrust. The memory is that of a time step.
+    """
+    import equinox as eqx
+    import jax
+    import jax.numpy as jnp
+    from cases import NODES, STEPS, STRIDES, model, run
+
+    one = model()
+    numbers = sum(x.size for x in jax.tree.leaves(eqx.filter(one, eqx.is_inexact_array)))
+
+    def thrust(model, strides=STRIDES):
+        series, _ = run(model, NODES, STEPS, strides, checkpoint=True)
+        return jnp.mean(series[-STEPS:, 0])
+
+    def memory(strides):
+        reverse = jax.jit(lambda m: eqx.filter_grad(thrust)(m, strides))
+        return reverse.lower(one).compile().memory_analysis().temp_size_in_bytes
+
+    plain, reverse = jax.jit(thrust), jax.jit(eqx.filter_grad(thrust))
+    jax.block_until_ready((plain(one), reverse(one)))
+    ratios = [
+        least_cpu_seconds(lambda: reverse(one), 2) / least_cpu_seconds(lambda: plain(one), 2)
+        for _ in range(repeats)
+    ]
+    more = STRIDES * STEPS
+    return {
+        "numbers": numbers,
+        "ratio": sorted(ratios)[len(ratios) // 2],
+        "bytes_per_step": (memory(2 * STRIDES) - memory(STRIDES)) / more,
+    }
+
+
+def without_library(repeats: int) -> dict:
+    """Returns the costs of one robot and of a batch without the compiled solver."""
+    from slider_jax.dynamics import block_kernel
+
+    used, block_kernel.is_used = block_kernel.is_used, lambda: False
+    try:
+        return {"one": single_cost(repeats), "batch_of_112": batch_cost(112, repeats)}
+    finally:
+        block_kernel.is_used = used
+
+
 def first_calls() -> dict:
     """Returns the wall time [s] of import, compilation and run, without and with a cache."""
     with tempfile.TemporaryDirectory() as cache:
@@ -140,19 +186,38 @@ def first_calls() -> dict:
 
 
 def peer(python: str) -> dict:
-    """Returns the results of PyElastica for the same rod, in the same run and on the same core."""
+    """Returns PyElastica's costs for the same rods, in the same run and on the same core."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "peer.json"
         script = [python, str(HERE / "peer_pyelastica.py"), "--out", str(out)]
         subprocess.run(script, check=True, stdout=subprocess.DEVNULL)
-        return json.loads(out.read_text())
+        found = json.loads(out.read_text())
+    return {
+        "version": found["versions"]["pyelastica"],
+        "one": found["robot"]["single_core_s_per_sim_s"],
+        "batch_of_112": found["robot"]["batch"]["112"],
+        "sheet": found["sheet"]["single_core_s_per_sim_s"],
+    }
+
+
+def peak_memory() -> float:
+    """Returns the largest memory [GB] of the process so far."""
+    import resource
+
+    return 1e-6 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def growth(repeats: int) -> dict:
-    """Returns the cost for several numbers of nodes (one robot), and of robots in a batch."""
+    """Returns the cost for several numbers of nodes (one robot), and of robots in a batch.
+
+    `memory_GB` is the largest memory of the process up to each batch.
+    """
     nodes = {n: single_cost(repeats, n) for n in (26, 51, 101, 201, 401)}
-    members = {b: batch_cost(b, repeats) for b in (1, 2, 4, 8, 16, 56, 112, 224, 448)}
-    return {"nodes": nodes, "members": members}
+    members, memory = {}, {}
+    for b in (1, 2, 4, 8, 16, 56, 112, 224, 448, 1024, 4096):
+        members[b] = batch_cost(b, repeats if b < 1000 else 2)
+        memory[b] = peak_memory()
+    return {"nodes": nodes, "members": members, "memory_GB": memory}
 
 
 def plot_growth(table: dict, path: Path) -> None:
@@ -195,13 +260,14 @@ def main() -> None:
     report["one"] = {"timed": single_cost(options.repeats), "51 nodes": single_cost(5, 51)}
     report["one_with_sheet_tail"] = single_cost(options.repeats, **SHEET)
     report["gradient_ratio"] = gradient_ratio(options.repeats)
+    report["reverse_gradient"] = reverse_gradient(options.repeats)
+    report["without_library"] = without_library(options.repeats)
     if options.peer_python:
-        other = peer(options.peer_python)
-        report["pyelastica"] = other
+        other = report["pyelastica"] = peer(options.peer_python)
         report["times_faster"] = {
-            "one": other["robot"]["single_core_s_per_sim_s"] / report["one"]["timed"],
-            "batch_of_112": other["robot"]["batch"]["112"] / report["batch_of_112"],
-            "sheet": other["sheet"]["single_core_s_per_sim_s"] / report["one_with_sheet_tail"],
+            "one": other["one"] / report["one"]["timed"],
+            "batch_of_112": other["batch_of_112"] / report["batch_of_112"],
+            "sheet": other["sheet"] / report["one_with_sheet_tail"],
         }
     if options.growth:
         report["growth"] = growth(options.repeats)

@@ -50,8 +50,16 @@ def percent(x: float) -> str:
     return f"{100.0 * x:.2g} %"
 
 
-def growth(first: str, second: str, costs: dict[str, float]) -> str:
-    return table([first, *costs], [[second, *costs.values()]])
+def number(x: float) -> str:
+    return f"{x:.2g}"
+
+
+def growth(first: str, rows: dict[str, dict[str, float]]) -> str:
+    """Returns a table with a column for each size and a row for each quantity."""
+    sizes = next(iter(rows.values()))
+    return table(
+        [first, *sizes], [[name, *map(number, values.values())] for name, values in rows.items()]
+    )
 
 
 def costs(speed: dict[str, Any]) -> str:
@@ -60,12 +68,14 @@ def costs(speed: dict[str, Any]) -> str:
     unit = "(CPU s per simulated s)"
     head = ["case", f"this simulator {unit}", f"PyElastica 1.0 {unit}", "ratio"]
     one, batch = speed["one"], speed["batch_of_112"]
-    return table(head, [
-        ["one robot with 31 nodes, after compilation", one["timed"], peer["one"], ratio["one"]],
-        ["one robot with 51 nodes, after compilation", one["51 nodes"], "not measured", ""],
-        ["batch of 112 robots, per robot", batch, peer["batch_of_112"], ratio["batch_of_112"]],
-        [sheet, speed["one_with_sheet_tail"], peer["sheet"], ratio["sheet"]],
-    ])  # fmt: skip
+    cases = (
+        ("one robot with 31 nodes, after compilation", one["timed"], "one"),
+        ("batch of 112 robots, per robot", batch, "batch_of_112"),
+        (sheet, speed["one_with_sheet_tail"], "sheet"),
+    )
+    rows = [[name, *map(number, (x, peer[key], ratio[key]))] for name, x, key in cases]
+    second = ["one robot with 51 nodes, after compilation", number(one["51 nodes"])]
+    return table(head, [rows[0], [*second, "not measured", ""], *rows[1:]])
 
 
 def other_costs(speed: dict[str, Any]) -> str:
@@ -73,12 +83,20 @@ def other_costs(speed: dict[str, Any]) -> str:
         "computing time of the thrust and its forward derivatives (with respect to C_d, m_a, k and "
         "K_Q), divided by the computing time of the thrust alone"
     )
-    call = "wall-clock time of the first call"
-    first = speed["first_call"]
+    reverse = speed["reverse_gradient"]
+    backward = (
+        f"the same for reverse-mode derivatives with respect to all {reverse['numbers']} numbers of "
+        "the model, which recompute each step"
+    )
+    call, first = "wall-clock time of the first call", speed["first_call"]
     return table(["other costs of this simulator", "value"], [
-        [forward, speed["gradient_ratio"]],
-        [f"{call} with import, compilation and run", f"{first['cold_s']} s"],
-        [f"{call} in a second process, with cached compiled programs", f"{first['cached_s']} s"],
+        [forward, number(speed["gradient_ratio"])],
+        [backward, number(reverse["ratio"])],
+        ["memory of these reverse-mode derivatives for each time step",
+         f"{1e-3 * reverse['bytes_per_step']:.1f} kB"],
+        [f"{call} with import, compilation and run", f"{first['cold_s']:.1f} s"],
+        [f"{call} in a second process, with cached compiled programs",
+         f"{first['cached_s']:.1f} s"],
     ])  # fmt: skip
 
 
@@ -168,7 +186,7 @@ def render(found: dict[str, dict[str, Any]]) -> str:
         return origin_of(found[name])
 
     functions = (
-        percent, growth, costs, other_costs, first_calls, sharing_table, model_of_sharing, rows,
+        percent, number, growth, costs, other_costs, first_calls, sharing_table, model_of_sharing, rows,
         loop_times, long_times,
     )  # fmt: skip
     environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True)

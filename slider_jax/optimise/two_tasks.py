@@ -108,7 +108,7 @@ def swim_efficiency(experiment: Experiment, search: SteadySettings):
 
     def one(x: Float[Array, "6"]) -> Float[Array, ""]:
         gait = Gait(*x)
-        _, found, ok = steady_stride(model(gait), gait.frequency, search)
+        _, found, ok, _ = steady_stride(model(gait), gait.frequency, search)
         swims = ok & (found.speed > 0.0) & (found.power > 0.0)
         return jnp.where(swims, found.froude_efficiency, jnp.nan)
 

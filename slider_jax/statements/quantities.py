@@ -34,11 +34,13 @@ class StatementSettings(NamedTuple):
 
 COARSE = StatementSettings(
     (0.6, 0.8, 1.0, 1.2, 1.6, 2.4, 3.2, 3.8, 4.3, 4.8, 5.3, 6.0, 7.0),
-    SteadySettings(steps_per_stride=60, numerics=Numerics(tail_cells=4, body_cells=12)),
+    SteadySettings(
+        precision=1e-5, steps_per_stride=60, numerics=Numerics(tail_cells=4, body_cells=12)
+    ),
 )
 """For searches: speeds differ from those with `FINE` by about 3 %."""
-FINE = StatementSettings(paper.SWEEP, SteadySettings())
-"""For tables: the settings of `slider swim` for a population."""
+FINE = StatementSettings(paper.SWEEP, SteadySettings(precision=1e-7))
+"""For tables: the mesh and the steps of `slider optimize swim`."""
 
 
 class HeadFixed(NamedTuple):
@@ -171,7 +173,7 @@ def quantities(assumed: Assumptions, at: StatementSettings) -> Quantities:
                            *gaits(assumed).values())  # fmt: skip
 
     def swim(gait: Gait):
-        return steady_stride(assumed.swimmer(gait), gait.frequency, at.search)[1:]
+        return steady_stride(assumed.swimmer(gait), gait.frequency, at.search)[1:3]
 
     swims, found = jax.vmap(swim)(stacked)
     return Quantities(

@@ -41,6 +41,8 @@ class Swim:
     search: SteadySettings
     found: bool
     """Whether a steady speed was found."""
+    searched: int
+    """Number of strides that were simulated to find the steady speed."""
     performance: Performance
     """Performance over the steady stride, or over the last stride from rest if not `found`."""
     stride: Stride
@@ -121,7 +123,9 @@ def steady_settings(experiment: Experiment, frequency: float) -> SteadySettings:
     """Returns settings with the experiment's mesh and with steps of at most `numerics.step`."""
     numerics, scheme = to_numerics(experiment)
     steps = 2 * half_period_steps(frequency, experiment.numerics.step)
-    return SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
+    return SteadySettings(
+        precision=1e-5, steps_per_stride=steps, numerics=numerics, scheme=scheme
+    )
 
 
 def simulate_free_swim(
@@ -140,7 +144,7 @@ def simulate_free_swim(
     frequency, model = free_swimmer(experiment, trial)
     f, search = jnp.asarray(frequency, float), steady_settings(experiment, frequency)
     progress("finding the steady speed")
-    stride, seen, ok = _steadily(model, f, search)
+    stride, seen, ok, searched = _steadily(model, f, search)
     found = bool(ok)
     progress("swimming from rest")
     twelve = AT_ONCE * ceil(12.0 * frequency / AT_ONCE)  # number of strides in 12 s
@@ -156,7 +160,7 @@ def simulate_free_swim(
         gaining = float(bare.acceleration)
     seen, stride = jax.device_get((seen, stride))
     return Swim(
-        trial, search, found, seen, stride, speeds, repeats, float(pace.acceleration),
+        trial, search, found, int(searched), seen, stride, speeds, repeats, float(pace.acceleration),
         unresisted, gaining, resisting(model),
     )  # fmt: skip
 
@@ -167,6 +171,7 @@ def swim_record(swim: Swim) -> dict[str, Any]:
         "file": swim.trial.file,
         "frequency_Hz": swim.trial.frequency,
         "steady": swim.found,
+        "strides_of_search": swim.searched,
         **{name: float(x) for name, x in performance_columns(swim.performance).items()},
         "from_rest": {
             "speed_m_per_s": swim.from_rest,

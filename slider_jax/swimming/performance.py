@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from slider_jax import observables as obs
 from slider_jax.batch.strides import BatchRobot, Plan
@@ -141,11 +141,15 @@ def performance(model: Model, frequency, stride: Stride, search: SteadySettings)
 
 def steady_stride(
     model: Model, frequency, search: SteadySettings
-) -> tuple[Stride, Performance, Bool[Array, ""]]:
-    """Returns a stride at the steady speed, its performance, and whether both are valid."""
+) -> tuple[Stride, Performance, Bool[Array, ""], Int[Array, ""]]:
+    """Returns a stride at the steady speed, its performance, and whether both are valid.
+
+    The last value is the number of strides that were simulated to find the steady speed.
+    """
     steady = find_steady(model, frequency, search)
     stride = next_stride(model, frequency, steady.carry, search)
-    return stride, performance(model, frequency, stride, search), steady.ok & stride.ok
+    seen = performance(model, frequency, stride, search)
+    return stride, seen, steady.ok & stride.ok, steady.strides
 
 
 UNITS = {
@@ -179,7 +183,7 @@ def swim_performance(plan: Plan, chunk: BatchRobot) -> tuple[Performance, Array]
     search = SteadySettings(
         steps_per_stride=plan.steps_per_stride, numerics=plan.numerics, scheme=plan.scheme
     )
-    one = jax.vmap(lambda robot: steady_stride(robot.model, robot.frequency, search)[1:])
+    one = jax.vmap(lambda robot: steady_stride(robot.model, robot.frequency, search)[1:3])
     return one(chunk)
 
 

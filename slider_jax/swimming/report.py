@@ -84,13 +84,13 @@ def swim_summary(swim: Swim) -> list[str]:
     if swim.found and swim.repeats:
         off = f"{1e2 * swim.difference:+.2f} %"
         lines = [
-            f"steady speed {root} by root finding; from rest, constant {rest} after "
-            f"{count} strides (difference {off})"
+            f"steady speed {root} by root finding in {swim.searched} strides; from rest, constant "
+            f"{rest} after {count} strides (difference {off})"
         ]
     elif swim.found:
         lines = [
-            f"steady speed {root} by root finding; from rest, {rest} after {count} strides with "
-            f"an acceleration of {gaining}"
+            f"steady speed {root} by root finding in {swim.searched} strides; from rest, {rest} "
+            f"after {count} strides with an acceleration of {gaining}"
         ]
     elif swim.repeats:
         lines = [f"root finding did not converge; from rest, constant {rest} after {count} strides"]

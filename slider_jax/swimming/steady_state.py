@@ -8,8 +8,9 @@ U settles slowly, so a secant method finds the steady speed U* as the root of th
 v_1 and v_2 are the mean velocities of the centre of mass over two consecutive strides of period T.
 The unit vector `course` is parallel to v_1 + v_2 and points towards the head. The acceleration a
 also vanishes if the robot swims in a circle at constant speed. Each secant step adds its correction
-to the velocity of the whole body and simulates `between` + 1 strides. If a model parameter theta
-changes by dtheta, the implicit function theorem gives the change of the steady speed:
+to the velocity of the whole body and simulates `between` + 1 strides. The steps end when the next
+correction is small. If a model parameter theta changes by dtheta, the implicit function theorem
+gives the change of the steady speed:
 
     dU* = (U_theta - a_theta U_delta / a_delta) dtheta
 
@@ -23,7 +24,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from slider_jax.beam.parameters import Numerics
 from slider_jax.beam.state import to_body, to_plane
@@ -40,10 +41,12 @@ class SteadySettings(NamedTuple):
     """Number of strides from rest before the first correction."""
     of_derivatives: int = 6
     """Number of strides from the steady state that give the derivatives."""
-    between: int = 2
+    between: int = 1
     """One less than the number of strides that follow each correction of the speed."""
-    corrections: int = 6
-    """Number of secant steps that strides follow. One more step follows at the end."""
+    corrections: int = 8
+    """Largest number of secant steps that strides follow. One more step follows at the end."""
+    precision: float = 1e-3
+    """The secant steps end before a correction below this fraction of the speed."""
     second: float = 0.15
     """Second speed [m/s] of the secant method. The first is the speed after `settling` strides."""
     largest: float = 0.3
@@ -53,6 +56,8 @@ class SteadySettings(NamedTuple):
     scheme: Scheme = SDIRK2
 
 
+LARGEST_GAIN = 2e-3
+"""Largest change of a steady speed from one stride to the next, as a fraction of the speed."""
 STRIDES_BEFORE_START = 20.0
 """Time from the start of the drive to the simulation, in strides; longer than any valve delay."""
 
@@ -77,11 +82,13 @@ class Steady(eqx.Module):
     """Change of the speed [m/s] in the last secant step; small if the speed is steady."""
     carry: Carry
     """The state after the last stride and the last secant step."""
+    strides: Int[Array, ""]
+    """Number of strides that were simulated."""
     ok: Bool[Array, ""]
     """Whether every time step and the root finding converged.
 
-    The root finding converged if the speed changes by less than 0.2 % per stride, and the last
-    secant step is less than 2 % of the speed.
+    The root finding converged if the speed changes by less than `LARGEST_GAIN` per stride, and the
+    last secant step is less than 2 % of the speed.
     """
 
     @property
@@ -150,8 +157,18 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
     The model's support must be `Free`. For derivatives use `steady_speed`.
     """
 
-    def correct(state, _):
-        carry, pace, slope, change = state
+    def is_steady(pace: MeanMotion, change, precision: float):
+        size = jnp.abs(pace.speed) + 1e-6
+        gain = jnp.abs(pace.acceleration) / frequency
+        return (gain < LARGEST_GAIN * size) & (jnp.abs(change) < precision * size)
+
+    def unfinished(state):
+        steps, (carry, pace, _, change) = state
+        begun = (steps == 0) | ~is_steady(pace, change, search.precision)
+        return (steps < search.corrections) & carry.ok & begun
+
+    def correct(state):
+        steps, (carry, pace, slope, change) = state
         faster = with_added_velocity(carry, change * pace.course)
         carry, after = simulate_strides(model, frequency, faster, search.between + 1, search)
         far = after.speed - pace.speed
@@ -159,16 +176,16 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
         # The previous slope is kept if the new slope is rounding error or leads away from the root.
         slope = jnp.where((secant < 0.0) & (jnp.abs(far) > 1e-7), secant, slope)
         change = jnp.clip(-after.acceleration / slope, -search.largest, search.largest)
-        return (carry, after, slope, change), None
+        return steps + 1, (carry, after, slope, change)
 
     rest = at_rest(model, search.numerics)
     carry, pace = simulate_strides(model, frequency, rest, search.settling, search)
     begin = (carry, pace, jnp.asarray(-1.0), search.second - pace.speed)
-    (carry, pace, _, change), _ = jax.lax.scan(correct, begin, None, length=search.corrections)
-    size = jnp.abs(pace.speed) + 1e-6
-    steady = jnp.abs(pace.acceleration) / frequency < 2e-3 * size
-    ok = carry.ok & steady & (jnp.abs(change) < 0.02 * size)
-    return Steady(pace, change, with_added_velocity(carry, change * pace.course), ok)
+    steps, found = jax.lax.while_loop(unfinished, correct, (jnp.asarray(0), begin))
+    carry, pace, _, change = found
+    strides = search.settling + (search.between + 1) * steps
+    ok = carry.ok & is_steady(pace, change, 0.02)
+    return Steady(pace, change, with_added_velocity(carry, change * pace.course), strides, ok)
 
 
 def steady_speed(

@@ -187,7 +187,7 @@ def test_written_experiments_reproduce_the_efficiencies(sought):
             wanted = (x[f"{here}frequency"], x[f"{here}front"], x[f"{here}rear"])
             assert drive == pytest.approx(wanted)
         f = swims.trials[0].frequency
-        _, swum, ok = eqx.filter_jit(steady_stride)(
+        _, swum, ok, _ = eqx.filter_jit(steady_stride)(
             to_swimmer(to_model(swims)), f, modes.task.search
         )
         assert ok and swum.froude_efficiency == pytest.approx(x["E_swim"], rel=1e-4)
