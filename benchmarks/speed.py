@@ -4,8 +4,9 @@
 
 A cost is the CPU time of one core divided by the simulated time, and in a batch also divided by the
 number of robots. The smallest cost of several repeats is reported. The benchmark also measures the
-error with the timed mesh and time step. Without `--peer-python`, PyElastica is omitted. `--growth`
-adds tables and a plot of the cost against the number of nodes and the batch size, and the memory.
+error with the timed mesh and time step, the cost of derivatives, and the cost without the compiled
+solver. Without `--peer-python`, PyElastica is omitted. `--growth` adds tables and a plot of the
+cost against the number of nodes and the batch size, and the memory of the batches.
 """
 
 import argparse
@@ -63,20 +64,28 @@ def accuracy(**robot) -> dict:
     }
 
 
-def batch_cost(members: int, repeats: int, nodes=None, chunk=8) -> float:
-    """Returns a batch's cost per robot and simulated second, in chunks that fit the cache."""
+def batch_of(members: int, chunk: int = 8):
+    """Returns a function that simulates a batch in chunks that fit the cache, and its argument."""
     import jax
     import jax.numpy as jnp
-    from cases import NODES, SECONDS, model, run, with_amplitude
+    from cases import model, run, with_amplitude
 
     base = model()
 
     def member(amplitude):
-        series, ok = run(with_amplitude(base, amplitude), nodes or NODES)
+        series, ok = run(with_amplitude(base, amplitude))
         return series[-1], ok
 
-    amplitudes = jnp.linspace(150e3, 300e3, members)
     call = jax.jit(lambda a: jax.lax.map(member, a, batch_size=min(chunk, members)))
+    return call, jnp.linspace(150e3, 300e3, members)
+
+
+def batch_cost(members: int, repeats: int) -> float:
+    """Returns a batch's cost per robot and simulated second."""
+    import jax
+    from cases import SECONDS
+
+    call, amplitudes = batch_of(members)
     assert bool(jax.block_until_ready(call(amplitudes))[1].all())
     return least_cpu_seconds(lambda: call(amplitudes), repeats) / (members * SECONDS)
 
@@ -161,13 +170,17 @@ def reverse_gradient(repeats: int) -> dict:
 
 def without_library(repeats: int) -> dict:
     """Returns the costs of one robot and of a batch without the compiled solver."""
+    import jax
+
     from slider_jax.dynamics import block_kernel
 
     used, block_kernel.is_used = block_kernel.is_used, lambda: False
+    jax.clear_caches()  # of programs with the library
     try:
         return {"one": single_cost(repeats), "batch_of_112": batch_cost(112, repeats)}
     finally:
         block_kernel.is_used = used
+        jax.clear_caches()
 
 
 def first_calls() -> dict:
@@ -200,24 +213,23 @@ def peer(python: str) -> dict:
     }
 
 
-def peak_memory() -> float:
-    """Returns the largest memory [GB] of the process so far."""
-    import resource
-
-    return 1e-6 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def batch_memory(members: int) -> float:
+    """Returns the memory [MB] of a batch's program: arguments, results and temporary arrays."""
+    call, amplitudes = batch_of(members)
+    sizes = call.lower(amplitudes).compile().memory_analysis()
+    return 1e-6 * (
+        sizes.argument_size_in_bytes + sizes.output_size_in_bytes + sizes.temp_size_in_bytes
+    )
 
 
 def growth(repeats: int) -> dict:
-    """Returns the cost for several numbers of nodes (one robot), and of robots in a batch.
-
-    `memory_GB` is the largest memory of the process up to each batch.
-    """
-    nodes = {n: single_cost(repeats, n) for n in (26, 51, 101, 201, 401)}
-    members, memory = {}, {}
-    for b in (1, 2, 4, 8, 16, 56, 112, 224, 448, 1024, 4096):
-        members[b] = batch_cost(b, repeats if b < 1000 else 2)
-        memory[b] = peak_memory()
-    return {"nodes": nodes, "members": members, "memory_GB": memory}
+    """Returns the cost for several numbers of nodes (one robot), and of robots in a batch."""
+    counts = (1, 2, 4, 8, 16, 56, 112, 224, 448, 1024, 4096)
+    return {
+        "nodes": {n: single_cost(repeats, n) for n in (26, 51, 101, 201, 401)},
+        "members": {b: batch_cost(b, repeats if b < 1000 else 2) for b in counts},
+        "memory_MB": {b: batch_memory(b) for b in counts},
+    }
 
 
 def plot_growth(table: dict, path: Path) -> None:
@@ -246,7 +258,7 @@ def main() -> None:
     add("--peer-python", help="Python interpreter with pyelastica (default: omit PyElastica)")
     add("--out", type=Path, default=Path("speed.json"), help="results file (default: speed.json)")
     add("--repeats", type=int, default=5, help="number of repeats of each timing (default: 5)")
-    add("--growth", action="store_true", help="also measure the cost against nodes and batch size")
+    add("--growth", action="store_true", help="also measure cost and memory of other sizes")
     options = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
@@ -275,7 +287,7 @@ def main() -> None:
     from record import write_record
 
     write_record(
-        options.out, report, "Each figure is the smallest value of the repetitions on one core."
+        options.out, report, "Each cost is the smallest value of the repetitions on one core."
     )
     print(json.dumps(report, indent=1, default=float))
 

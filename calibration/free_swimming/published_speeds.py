@@ -41,7 +41,7 @@ from slider_jax.swimming.steady_state import (
     velocity,
 )
 
-STEADY_SETTINGS = SteadySettings(precision=1e-4, steps_per_stride=160)
+STEADY_SETTINGS = SteadySettings(precision=1e-5, corrections=14, steps_per_stride=160)
 CORRECTIONS_FACTOR = 3
 """Factor on the number of corrections in the search for the steady speed of a model without axial
 resistance. This speed is ten times as high as with resistance."""

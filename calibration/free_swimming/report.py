@@ -145,6 +145,8 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
         "settings": {
             "settling_strides": STEADY_SETTINGS.settling,
             "corrections": STEADY_SETTINGS.corrections,
+            "strides_after_correction": STEADY_SETTINGS.following,
+            "precision": STEADY_SETTINGS.precision,
             "steps_per_stride": STEADY_SETTINGS.steps_per_stride,
             "nodes": STEADY_SETTINGS.numerics.nodes,
         },

@@ -51,7 +51,7 @@ def percent(x: float) -> str:
 
 
 def number(x: float) -> str:
-    return f"{x:.2g}"
+    return f"{x:.2g}" if abs(x) < 100.0 else f"{x:.0f}"
 
 
 def growth(first: str, rows: dict[str, dict[str, float]]) -> str:
@@ -66,7 +66,7 @@ def costs(speed: dict[str, Any]) -> str:
     peer, ratio = speed["pyelastica"], speed["times_faster"]
     sheet = "one robot whose tail is a sheet, 0.93 mm thick, with Young's modulus 2.9 GPa"
     unit = "(CPU s per simulated s)"
-    head = ["case", f"this simulator {unit}", f"PyElastica 1.0 {unit}", "ratio"]
+    head = ["case", f"this simulator {unit}", f"PyElastica {peer['version']} {unit}", "ratio"]
     one, batch = speed["one"], speed["batch_of_112"]
     cases = (
         ("one robot with 31 nodes, after compilation", one["timed"], "one"),
@@ -85,8 +85,8 @@ def other_costs(speed: dict[str, Any]) -> str:
     )
     reverse = speed["reverse_gradient"]
     backward = (
-        f"the same for reverse-mode derivatives with respect to all {reverse['numbers']} numbers of "
-        "the model, which recompute each step"
+        f"the same for reverse-mode derivatives with respect to all {reverse['numbers']} numbers "
+        "of the model, which recompute each step"
     )
     call, first = "wall-clock time of the first call", speed["first_call"]
     return table(["other costs of this simulator", "value"], [
@@ -186,8 +186,8 @@ def render(found: dict[str, dict[str, Any]]) -> str:
         return origin_of(found[name])
 
     functions = (
-        percent, number, growth, costs, other_costs, first_calls, sharing_table, model_of_sharing, rows,
-        loop_times, long_times,
+        percent, number, growth, costs, other_costs, first_calls, sharing_table, model_of_sharing,
+        rows, loop_times, long_times,
     )  # fmt: skip
     environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True)
     template = environment.from_string((Path(__file__).parent / TEMPLATE).read_text("utf-8"))

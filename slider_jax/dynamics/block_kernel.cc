@@ -13,7 +13,7 @@
 // The suffixes v and f are the upper and the lower K rows. The conditions at the head give the motion
 // there, and the way back gives all other unknowns. The inverses of cells need no row exchange: a body
 // with given forces behind and given motion ahead always has a solution, and the rows are in the order
-// stretch, turn, moment law, balances, so diagonal entries are of order 1/ds.
+// stretch, turn, moment law, balances, so diagonal entries are of order 1/ds. The same holds for E below.
 //
 // The conditions are G_f f + G_v v = g at the tail and H_f f + H_v v = h at the head. Both are solved
 // with row exchange: tail_f = G_f^-1, P_0 = -tail_f G_v, head_v = (H_f P + H_v)^-1. The factors of a
@@ -42,7 +42,7 @@ typedef double Vec __attribute__((vector_size(8 * LANES)));
 typedef int64_t Lanes __attribute__((vector_size(8 * LANES)));
 typedef double Unaligned __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 
-constexpr Lanes LANE = {0, 1, 2, 3, 4, 5, 6, 7};
+constexpr Lanes NUMBERS = {0, 1, 2, 3, 4, 5, 6, 7};
 
 inline Vec load(const double* x) { return *reinterpret_cast<const Unaligned*>(x); }
 inline void store(double* x, Vec v) { *reinterpret_cast<Unaligned*>(x) = v; }
@@ -122,7 +122,7 @@ inline void invert_3(const X (&a)[3][3], X (&b)[3][3]) {
 }
 
 // Inverts a matrix by Gauss-Jordan elimination with blocks of 3 x 3, without row exchange. X is a
-// number, or a vector that contains a number of each of several robots. The function is not inlined,
+// number, or a vector with one number of each of several robots or cells. The function is not inlined,
 // because g++ made slower code of it inside long functions.
 template <int N, class X>
 [[gnu::noinline]] void invert_in_place(X (&a)[N][N]) {
@@ -158,11 +158,11 @@ template <int N, class X>
 }
 
 // c = a b, and c += a b.
-template <bool ADD, int M, int N, int L, class X>
-[[gnu::noinline]] void product(const X (&a)[M][N], const X (&b)[N][L], X (&c)[M][L]) {
+template <bool ADD, int M, int N, int L>
+[[gnu::noinline]] void product(const Vec (&a)[M][N], const Vec (&b)[N][L], Vec (&c)[M][L]) {
 #pragma GCC unroll 1
   for (int i = 0; i < M; i++) {
-    X sum[L];
+    Vec sum[L];
 #pragma GCC unroll 16
     for (int j = 0; j < L; j++) sum[j] = ADD ? c[i][j] + a[i][0] * b[0][j] : a[i][0] * b[0][j];
 #pragma GCC unroll 1
@@ -174,6 +174,15 @@ template <bool ADD, int M, int N, int L, class X>
     for (int j = 0; j < L; j++) c[i][j] = sum[j];
   }
 }
+template <int M, int N, int L>
+void multiply(const Vec (&a)[M][N], const Vec (&b)[N][L], Vec (&c)[M][L]) {
+  product<false>(a, b, c);
+}
+template <int M, int N, int L>
+void multiply_add(const Vec (&a)[M][N], const Vec (&b)[N][L], Vec (&c)[M][L]) {
+  product<true>(a, b, c);
+}
+
 // c = a b for small matrices of one robot, inlined.
 template <int K>
 inline void multiply_small(const double (&a)[K][K], const double (&b)[K][K], double (&c)[K][K]) {
@@ -186,14 +195,6 @@ inline void multiply_small(const double (&a)[K][K], const double (&b)[K][K], dou
       for (int k = 1; k < K; k++) sum += a[i][k] * b[k][j];
       c[i][j] = sum;
     }
-}
-template <int M, int N, int L, class X>
-void multiply(const X (&a)[M][N], const X (&b)[N][L], X (&c)[M][L]) {
-  product<false>(a, b, c);
-}
-template <int M, int N, int L, class X>
-void multiply_add(const X (&a)[M][N], const X (&b)[N][L], X (&c)[M][L]) {
-  product<true>(a, b, c);
 }
 
 // Memory that grows, and stays for the next call of its thread.
@@ -239,8 +240,7 @@ inline void transpose(Vec (&a)[LANES]) {
   exchange<1>(a);
 }
 
-template <class X>
-inline double* lanes(X& x) {
+inline double* lanes(Vec& x) {
   return reinterpret_cast<double*>(&x);
 }
 
@@ -341,7 +341,7 @@ void factorise_one(const double* left, const double* right, const double* tail, 
       const double* at = matrix + (i * N + j) * cells + first;
       if (inside == LANES) return load(at);
       // A vector may read into the next row, but not beyond the matrix.
-      if (i * N + j < N * N - LANES) return LANE < inside ? load(at) : Vec{};
+      if (i * N + j < N * N - LANES) return NUMBERS < inside ? load(at) : Vec{};
       Vec found{};
       std::memcpy(&found, at, inside * sizeof(double));
       return found;
@@ -354,7 +354,8 @@ void factorise_one(const double* left, const double* right, const double* tail, 
         G[i][j] = entry(left, i, K + j);
         G[i][K + j] = entry(right, i, j);
       }
-    for (int64_t c = inside; c < LANES; c++)  // the unit matrix beyond the head
+    // The unit matrix beyond the head has a finite inverse; the right sides are zero there.
+    for (int64_t c = inside; c < LANES; c++)
       for (int i = 0; i < N; i++) lanes(G[i][i])[c] = 1.0;
     invert_in_place(G);
     multiply(G, L_f, F);

@@ -56,7 +56,8 @@ class Model(eqx.Module):
     support: Support
     water: Float[Array, "2"] | tuple[Scalar, Scalar] | WaterField | None = None
     """Steady uniform velocity (U_x, U_y) [m/s] of the water, or a nonuniform velocity field, or
-    None for still water. A velocity of 0 gives the same motion as None in more computing time."""
+    None for still water. A velocity of 0 gives the same motion as None in more computing time. In a
+    batch, the water of all models is None, or of none."""
     actuators: tuple[Actuator, ...] = ()
     """Actuators in addition to the chambers."""
     space: SpaceSettings | None = None
@@ -92,8 +93,8 @@ class Model(eqx.Module):
 
         It includes `WaterMotion` effects. A `WaterField` has no uniform part.
         """
-        nonuniform = self.water is None or isinstance(self.water, WaterField)
-        uniform = (0.0, 0.0) if nonuniform else self.water
+        streams = self.water is not None and not isinstance(self.water, WaterField)
+        uniform = self.water if streams else (0.0, 0.0)
         velocity = jnp.stack([jnp.asarray(u, float) for u in uniform])
         for effect in of_place(self.effects, WaterMotion):
             velocity = velocity + jnp.stack(effect.velocity(t))
@@ -107,12 +108,16 @@ class Model(eqx.Module):
         The value is None for still water. `place` returns the positions [m] of the cells; it is
         called only for a `WaterField`.
         """
-        if self.water is None and not of_place(self.effects, WaterMotion):
-            return None
-        uniform = jnp.stack(jax.jvp(self.water_velocity, (t,), (jnp.ones_like(t),)))
+        uniform = self.uniform_water_at(t)
         if not isinstance(self.water, WaterField):
             return uniform
         return self.water.at_cells(place(), t, uniform)
+
+    def uniform_water_at(self, t: Array) -> Float[Array, "2 2"] | None:
+        """Returns velocity and acceleration of the water's uniform part; None for still water."""
+        if self.water is None and not of_place(self.effects, WaterMotion):
+            return None
+        return jnp.stack(jax.jvp(self.water_velocity, (t,), (jnp.ones_like(t),)))
 
     def immersion_at(self, nodes: Callable[[], Float[Array, "2 nodes"]]) -> Immersion | None:
         """Returns the wet part of the cells, or None without a waterline.

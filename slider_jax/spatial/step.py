@@ -261,7 +261,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
             twist_slope=slope,
             dt=dt,
         )
-        water = model.water_at(lambda: jnp.zeros((2, len(zero))), t)
+        water = model.uniform_water_at(t)
         pressure = chambers.acting
         active = Vec(zero, pressure @ bending_n, pressure @ bending_b)
         stage = SpatialStage(

@@ -35,12 +35,15 @@ class StatementSettings(NamedTuple):
 COARSE = StatementSettings(
     (0.6, 0.8, 1.0, 1.2, 1.6, 2.4, 3.2, 3.8, 4.3, 4.8, 5.3, 6.0, 7.0),
     SteadySettings(
-        precision=1e-5, steps_per_stride=60, numerics=Numerics(tail_cells=4, body_cells=12)
+        precision=1e-5,
+        corrections=12,
+        steps_per_stride=60,
+        numerics=Numerics(tail_cells=4, body_cells=12),
     ),
 )
 """For searches: speeds differ from those with `FINE` by about 3 %."""
-FINE = StatementSettings(paper.SWEEP, SteadySettings(precision=1e-7))
-"""For tables: the mesh and the steps of `slider optimize swim`."""
+FINE = StatementSettings(paper.SWEEP, SteadySettings(precision=1e-7, corrections=14))
+"""For tables: the mesh and the steps of `slider optimize swim`, and speeds that have converged."""
 
 
 class HeadFixed(NamedTuple):

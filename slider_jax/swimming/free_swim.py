@@ -41,8 +41,8 @@ class Swim:
     search: SteadySettings
     found: bool
     """Whether a steady speed was found."""
-    searched: int
-    """Number of strides that were simulated to find the steady speed."""
+    strides: int
+    """Number of strides that the search for the steady speed simulated."""
     performance: Performance
     """Performance over the steady stride, or over the last stride from rest if not `found`."""
     stride: Stride
@@ -124,7 +124,7 @@ def steady_settings(experiment: Experiment, frequency: float) -> SteadySettings:
     numerics, scheme = to_numerics(experiment)
     steps = 2 * half_period_steps(frequency, experiment.numerics.step)
     return SteadySettings(
-        precision=1e-5, steps_per_stride=steps, numerics=numerics, scheme=scheme
+        precision=1e-5, corrections=14, steps_per_stride=steps, numerics=numerics, scheme=scheme
     )
 
 
@@ -144,7 +144,7 @@ def simulate_free_swim(
     frequency, model = free_swimmer(experiment, trial)
     f, search = jnp.asarray(frequency, float), steady_settings(experiment, frequency)
     progress("finding the steady speed")
-    stride, seen, ok, searched = _steadily(model, f, search)
+    stride, seen, ok, strides = _steadily(model, f, search)
     found = bool(ok)
     progress("swimming from rest")
     twelve = AT_ONCE * ceil(12.0 * frequency / AT_ONCE)  # number of strides in 12 s
@@ -160,7 +160,7 @@ def simulate_free_swim(
         gaining = float(bare.acceleration)
     seen, stride = jax.device_get((seen, stride))
     return Swim(
-        trial, search, found, int(searched), seen, stride, speeds, repeats, float(pace.acceleration),
+        trial, search, found, int(strides), seen, stride, speeds, repeats, float(pace.acceleration),
         unresisted, gaining, resisting(model),
     )  # fmt: skip
 
@@ -171,7 +171,7 @@ def swim_record(swim: Swim) -> dict[str, Any]:
         "file": swim.trial.file,
         "frequency_Hz": swim.trial.frequency,
         "steady": swim.found,
-        "strides_of_search": swim.searched,
+        "strides_of_search": swim.strides,
         **{name: float(x) for name, x in performance_columns(swim.performance).items()},
         "from_rest": {
             "speed_m_per_s": swim.from_rest,

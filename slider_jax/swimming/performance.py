@@ -144,7 +144,7 @@ def steady_stride(
 ) -> tuple[Stride, Performance, Bool[Array, ""], Int[Array, ""]]:
     """Returns a stride at the steady speed, its performance, and whether both are valid.
 
-    The last value is the number of strides that were simulated to find the steady speed.
+    The last value is the number of strides that the search for the steady speed simulated.
     """
     steady = find_steady(model, frequency, search)
     stride = next_stride(model, frequency, steady.carry, search)

@@ -84,12 +84,12 @@ def swim_summary(swim: Swim) -> list[str]:
     if swim.found and swim.repeats:
         off = f"{1e2 * swim.difference:+.2f} %"
         lines = [
-            f"steady speed {root} by root finding in {swim.searched} strides; from rest, constant "
+            f"steady speed {root} by root finding in {swim.strides} strides; from rest, constant "
             f"{rest} after {count} strides (difference {off})"
         ]
     elif swim.found:
         lines = [
-            f"steady speed {root} by root finding in {swim.searched} strides; from rest, {rest} "
+            f"steady speed {root} by root finding in {swim.strides} strides; from rest, {rest} "
             f"after {count} strides with an acceleration of {gaining}"
         ]
     elif swim.repeats:

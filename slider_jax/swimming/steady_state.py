@@ -8,7 +8,7 @@ U settles slowly, so a secant method finds the steady speed U* as the root of th
 v_1 and v_2 are the mean velocities of the centre of mass over two consecutive strides of period T.
 The unit vector `course` is parallel to v_1 + v_2 and points towards the head. The acceleration a
 also vanishes if the robot swims in a circle at constant speed. Each secant step adds its correction
-to the velocity of the whole body and simulates `between` + 1 strides. The steps end when the next
+to the velocity of the whole body and simulates `following` strides. The steps end when the next
 correction is small. If a model parameter theta changes by dtheta, the implicit function theorem
 gives the change of the steady speed:
 
@@ -41,12 +41,14 @@ class SteadySettings(NamedTuple):
     """Number of strides from rest before the first correction."""
     of_derivatives: int = 6
     """Number of strides from the steady state that give the derivatives."""
-    between: int = 1
-    """One less than the number of strides that follow each correction of the speed."""
+    following: int = 2
+    """Number of strides, at least 2, that follow each correction of the speed."""
     corrections: int = 8
     """Largest number of secant steps that strides follow. One more step follows at the end."""
     precision: float = 1e-3
-    """The secant steps end before a correction below this fraction of the speed."""
+    """The secant steps end before a correction below this fraction of the speed. The speed is
+    therefore a function of the design with small jumps. A much smaller value needs more
+    `corrections`."""
     second: float = 0.15
     """Second speed [m/s] of the secant method. The first is the speed after `settling` strides."""
     largest: float = 0.3
@@ -83,7 +85,7 @@ class Steady(eqx.Module):
     carry: Carry
     """The state after the last stride and the last secant step."""
     strides: Int[Array, ""]
-    """Number of strides that were simulated."""
+    """Number of strides that the search simulated."""
     ok: Bool[Array, ""]
     """Whether every time step and the root finding converged.
 
@@ -154,8 +156,14 @@ def simulate_strides(model: Model, frequency, carry: Carry, count: int, search: 
 def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings()) -> Steady:
     """Returns the steady motion of a robot that starts from rest. Use vmap for several robots.
 
-    The model's support must be `Free`. For derivatives use `steady_speed`.
+    The model's support must be `Free`. For derivatives use `steady_speed`. Raises `ValueError` if
+    fewer than two strides follow a correction.
     """
+    if search.following < 2:
+        raise ValueError(
+            f"SteadySettings.following: given {search.following}; allowed 2 or more, because the "
+            "acceleration is the difference of two strides"
+        )
 
     def is_steady(pace: MeanMotion, change, precision: float):
         size = jnp.abs(pace.speed) + 1e-6
@@ -164,13 +172,13 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
 
     def unfinished(state):
         steps, (carry, pace, _, change) = state
-        begun = (steps == 0) | ~is_steady(pace, change, search.precision)
-        return (steps < search.corrections) & carry.ok & begun
+        unsteady = (steps == 0) | ~is_steady(pace, change, search.precision)
+        return (steps < search.corrections) & carry.ok & unsteady
 
     def correct(state):
         steps, (carry, pace, slope, change) = state
         faster = with_added_velocity(carry, change * pace.course)
-        carry, after = simulate_strides(model, frequency, faster, search.between + 1, search)
+        carry, after = simulate_strides(model, frequency, faster, search.following, search)
         far = after.speed - pace.speed
         secant = (after.acceleration - pace.acceleration) / jnp.where(far == 0.0, 1.0, far)
         # The previous slope is kept if the new slope is rounding error or leads away from the root.
@@ -183,7 +191,7 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
     begin = (carry, pace, jnp.asarray(-1.0), search.second - pace.speed)
     steps, found = jax.lax.while_loop(unfinished, correct, (jnp.asarray(0), begin))
     carry, pace, _, change = found
-    strides = search.settling + (search.between + 1) * steps
+    strides = search.settling + search.following * steps
     ok = carry.ok & is_steady(pace, change, 0.02)
     return Steady(pace, change, with_added_velocity(carry, change * pace.course), strides, ok)
 

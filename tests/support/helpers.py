@@ -102,7 +102,7 @@ def stage_of(model: Model, numerics: Numerics, y_reference, dt, t=0.0, active_mo
         load_head=y_reference[:3, -1],
         pressure=0.0 * mesh.grid.ds,
         active_moment=0.0 * mesh.grid.ds if active_moment is None else active_moment,
-        water=jnp.stack([model.water_velocity(jnp.asarray(t, float)), jnp.zeros(2)]),
+        water=model.uniform_water_at(jnp.asarray(t, float)),
         t=jnp.asarray(t, float),
     )
 

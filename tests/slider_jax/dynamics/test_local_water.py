@@ -83,6 +83,29 @@ def test_uniform_water_as_function_or_grid_is_uniform_water(support):
         np.testing.assert_allclose(other, found[0], rtol=0.0, atol=1e-8 * np.abs(found[0]).max())
 
 
+@pytest.mark.parametrize("support", [Free(), pytest.param(TOWED, marks=pytest.mark.slow)])
+def test_still_water_is_water_with_the_velocity_zero(support):
+    """Motion, and its derivative with respect to the drag. Tolerance 1e-10 of the largest value."""
+    times = TimeGrid(2e-3, 30)
+
+    def run(water, *effects):
+        def moved(C_d):
+            model = within(swimmer(support=support, wave=SineWave, C_d=C_d), water)
+            model = dataclasses.replace(model, effects=(*model.effects, *effects))
+            return rollout(model, times, _Motion(), SMALL, checkpoint=False).saved
+
+        return jax.jit(lambda C_d: jax.jvp(moved, (C_d,), (jnp.ones_like(C_d),)))(jnp.asarray(3.0))
+
+    def close(found, exact):
+        for a, b in zip(found, exact, strict=True):
+            np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-10 * np.abs(b).max())
+
+    close(run(None), run((0.0, 0.0)))
+    current, stream = run(None, TankCurrent(0.05, 0.02)), run((0.05, 0.02))
+    close(current, stream)
+    assert np.abs(current[0] - run(None)[0]).max() > 1e-3
+
+
 # Closed forms.
 
 G = [[[1.2, 0.0], [0.0, -1.2]], [[0.0, 1.5], [0.0, 0.0]], [[0.7, -0.4], [2.0, -0.7]]]

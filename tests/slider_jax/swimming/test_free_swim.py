@@ -51,6 +51,7 @@ def test_it_writes_what_it_found(swum):
     (row,) = told["swims"]
     U, f, A = row["speed_m_per_s"], 5.0, row["tail_amplitude_m"]
     assert row["steady"] and row["from_rest"]["repeats"]
+    assert 6 <= row["strides_of_search"] < 4 + 2 * 14  # it ended before the largest number
     assert row["root_over_from_rest"] == pytest.approx(1.0, abs=0.01)
     assert row["strouhal"] == pytest.approx(2.0 * A * f / U)
     assert row["cost_of_transport"] == pytest.approx(row["power_W"] / (9.81 * 0.7 * 0.368 * U))

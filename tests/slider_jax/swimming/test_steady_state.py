@@ -55,6 +55,35 @@ def test_the_root_is_where_a_long_swim_from_rest_ends(name):
 
 
 @pytest.mark.slow
+def test_the_search_ends_when_the_next_correction_is_small():
+    """A batch gives the speeds and the numbers of strides of single robots; one robot fails."""
+    gaits = [*GAITS.values(), GAITS["slow"]._replace(front=np.nan)]
+    models, f = [made(x) for x in gaits], jnp.array([x.frequency for x in gaits])
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *models)
+    found = jax.jit(jax.vmap(lambda m, f: find_steady(m, f, SEARCH)))(stacked, f)
+    full = SEARCH._replace(precision=0.0)
+    whole = jax.jit(jax.vmap(lambda m, f: find_steady(m, f, full)))(stacked, f)
+    assert found.ok.tolist() == whole.ok.tolist() == [True, True, True, False]
+    most = SEARCH.settling + SEARCH.following * SEARCH.corrections
+    assert whole.strides.tolist() == [most, most, most, SEARCH.settling]
+    steps = (found.strides - SEARCH.settling) / SEARCH.following
+    assert (steps == jnp.round(steps)).all() and (steps[:2] < SEARCH.corrections).all()
+    assert steps[3] == 0 and (steps[:3] > 1).all()
+    np.testing.assert_allclose(found.speed[:3], whole.speed[:3], rtol=1e-3)
+    for i, model in enumerate(models[:2]):
+        one = search(model, f[i])
+        assert one.strides == found.strides[i]
+        np.testing.assert_allclose(one.speed, found.speed[i], rtol=1e-9)
+    coarse = SEARCH._replace(precision=1e9)
+    assert jax.jit(lambda m, f: find_steady(m, f, coarse))(models[0], f[0]).strides >= 6
+
+
+def test_the_acceleration_needs_two_strides():
+    with pytest.raises(ValueError, match="following: given 1; allowed 2 or more"):
+        find_steady(made(GAITS["slow"]), jnp.asarray(2.5), SEARCH._replace(following=1))
+
+
+@pytest.mark.slow
 def test_a_wave_towards_the_head_swims_tail_first():
     gait = GAITS["5 Hz"]._replace(phase=-0.4)
     found, ahead = (
