@@ -150,11 +150,14 @@ def reverse_gradient(repeats: int) -> dict:
         series, _ = run(model, NODES, STEPS, strides, checkpoint=True)
         return jnp.mean(series[-STEPS:, 0])
 
-    def memory(strides):
-        reverse = jax.jit(lambda m: eqx.filter_grad(thrust)(m, strides))
-        return reverse.lower(one).compile().memory_analysis().temp_size_in_bytes
+    def reverse_over(strides):
+        return jax.jit(lambda m: eqx.filter_grad(thrust)(m, strides))
 
-    plain, reverse = jax.jit(thrust), jax.jit(eqx.filter_grad(thrust))
+    def memory(strides):
+        compiled = reverse_over(strides).lower(one).compile()
+        return compiled.memory_analysis().temp_size_in_bytes
+
+    plain, reverse = jax.jit(thrust), reverse_over(STRIDES)
     jax.block_until_ready((plain(one), reverse(one)))
     ratios = [
         least_cpu_seconds(lambda: reverse(one), 2) / least_cpu_seconds(lambda: plain(one), 2)

@@ -106,7 +106,7 @@ def _rigid(numerics, phi, omega, omega_t, V, A, water_A):
     rates = [A_tau + omega * V_n + zero, A_n - omega * V_tau + omega_t * r, omega + zero]
     stage = stage_of(model, numerics, y - jnp.stack([zero, zero, zero, *rates]), 1.0)
     if water_A is not None:
-        water = jnp.stack([stage.water[0], jnp.asarray(water_A)])
+        water = jnp.stack([jnp.zeros(2), jnp.asarray(water_A)])
         stage = dataclasses.replace(stage, water=water)
     return at_cells(y, stage)
 
