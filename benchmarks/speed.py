@@ -251,7 +251,8 @@ def plot_growth(table: dict, path: Path) -> None:
     right.semilogx(members, share, "o-", base=2)
     right.set(xlabel="robots (-)", ylabel="core-seconds per\nsimulated second and robot (-)")
     right.set(title="batch")
-    right.set(xticks=members, xticklabels=members, ylim=(0, None))
+    ticks = [4**i for i in range(7)]
+    right.set(xticks=ticks, xticklabels=ticks, ylim=(0, None))
     figure.savefig(path, dpi=120)
 
 

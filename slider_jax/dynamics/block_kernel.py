@@ -69,7 +69,7 @@ def why_unavailable() -> str | None:
     library = _load()
     if isinstance(library, str):
         logging.getLogger(__name__).warning(
-            "simulations take 1.5 to 2 times as long, because the compiled solver is missing: %s",
+            "simulations take about twice as long, because the compiled solver is missing: %s",
             library,
         )
         return library

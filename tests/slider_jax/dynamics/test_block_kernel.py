@@ -194,7 +194,7 @@ def test_without_a_working_compiler_one_line_says_why(compiler, why, monkeypatch
         monkeypatch.setattr("shutil.which", lambda name: None)
     with caplog.at_level(logging.WARNING):
         assert why in block_kernel.why_unavailable.__wrapped__()
-    assert len(caplog.records) == 1 and "times as long" in caplog.text
+    assert len(caplog.records) == 1 and "twice as long" in caplog.text
     assert not list(tmp_path.rglob("*.so*"))
 
 
