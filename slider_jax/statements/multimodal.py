@@ -36,7 +36,7 @@ OF_FRONT: dict[str, Simulated] = {
     ),
 }  # fmt: skip
 HOW = (
-    "run `slider optimize multimodal --out DIR` (about 18 minutes on two cores), and add "
+    "run `slider optimize multimodal --out DIR` (about seven minutes on two cores), and add "
     "`--front DIR` to `slider published --all`"
 )
 
