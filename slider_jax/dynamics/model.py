@@ -93,9 +93,9 @@ class Model(eqx.Module):
 
         It includes `WaterMotion` effects. A `WaterField` has no uniform part.
         """
-        streams = self.water is not None and not isinstance(self.water, WaterField)
-        uniform = self.water if streams else (0.0, 0.0)
-        velocity = jnp.stack([jnp.asarray(u, float) for u in uniform])
+        velocity = jnp.zeros(2)
+        if self.water is not None and not isinstance(self.water, WaterField):
+            velocity = jnp.stack([jnp.asarray(u, float) for u in self.water])
         for effect in of_place(self.effects, WaterMotion):
             velocity = velocity + jnp.stack(effect.velocity(t))
         return velocity
@@ -109,9 +109,9 @@ class Model(eqx.Module):
         called only for a `WaterField`.
         """
         uniform = self.uniform_water_at(t)
-        if not isinstance(self.water, WaterField):
-            return uniform
-        return self.water.at_cells(place(), t, uniform)
+        if uniform is not None and isinstance(self.water, WaterField):
+            return self.water.at_cells(place(), t, uniform)
+        return uniform
 
     def uniform_water_at(self, t: Array) -> Float[Array, "2 2"] | None:
         """Returns velocity and acceleration of the water's uniform part; None for still water."""
