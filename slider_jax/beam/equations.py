@@ -15,7 +15,7 @@ T = EA (eps + alpha d(eps)/dt) is solved for eps in each cell, so eps is not an 
 A time derivative is (value - reference)/dt. `Reference` contains the reference values and dt.
 """
 
-from typing import NamedTuple
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -147,10 +147,7 @@ def section(
     V_tau_t = (mid.V_tau - reference.V_tau) / dt
     V_n_t = (mid.V_n - reference.V_n) / dt
     eps = strain(mid.T, structure, reference)
-    relative = _RelativeMotion(mid.V_tau, mid.V_n, slope.V_tau, slope.V_n, V_tau_t, V_n_t)
-    if water is not None:
-        relative = _in_moving_water(relative, mid, slope.phi, omega, eps, water)
-    return Section(
+    x = Section(
         **vars(structure),
         t=t,
         phi=mid.phi,
@@ -164,60 +161,50 @@ def section(
         V_n=mid.V_n,
         V_tau_t=V_tau_t,
         V_n_t=V_n_t,
-        **relative._asdict(),
-        wet=None if immersion is None else immersion.wet,
-        wetting=None if immersion is None else immersion.wetting(relative.u_n, mid.phi),
+        u_tau=mid.V_tau,
+        u_n=mid.V_n,
+        u_tau_s=slope.V_tau,
+        u_n_s=slope.V_n,
+        u_tau_t=V_tau_t,
+        u_n_t=V_n_t,
     )
+    if water is not None:
+        x = _in_moving_water(x, water)
+    if immersion is not None:
+        x = replace(x, wet=immersion.wet, wetting=immersion.wetting(x.u_n, mid.phi))
+    return x
 
 
-class _RelativeMotion(NamedTuple):
-    """The fields of `Section` that depend on the motion of the water."""
-
-    u_tau: Array
-    u_n: Array
-    u_tau_s: Array
-    u_n_s: Array
-    u_tau_t: Array
-    u_n_t: Array
-    U_n_gradient: Array | None = None
-
-
-def _in_moving_water(
-    tank: _RelativeMotion,
-    mid: Fields,
-    kappa: Array,
-    omega: Array,
-    eps: Array,
-    water: Float[Array, "2 2"] | LocalWater,
-) -> _RelativeMotion:
-    """Returns the motion relative to the water from the motion relative to the `tank`.
+def _in_moving_water(x: Section, water: Float[Array, "2 2"] | LocalWater) -> Section:
+    """Returns the section `x`, whose water is still, in moving water.
 
     The time derivatives follow the body and the slopes are along the body, so in nonuniform water
 
         (dU/dt)_body = dU/dt + (V . grad) U,    dU/ds = (1 + eps) (tau . grad) U
     """
     U, A = (water.velocity, water.rate) if isinstance(water, LocalWater) else (water[0], water[1])
-    U_tau, U_n = to_body(U, mid.phi)
-    A_tau, A_n = to_body(A, mid.phi)
-    u_tau_s, u_n_s = tank.u_tau_s - kappa * U_n, tank.u_n_s + kappa * U_tau
+    U_tau, U_n = to_body(U, x.phi)
+    A_tau, A_n = to_body(A, x.phi)
+    u_tau_s, u_n_s = x.u_tau_s - x.kappa * U_n, x.u_n_s + x.kappa * U_tau
     gradient = None
     if isinstance(water, LocalWater):
         x_slope, y_slope = water.gradient[:, 0], water.gradient[:, 1]
-        tau, n = to_plane(1.0, 0.0, mid.phi), to_plane(0.0, 1.0, mid.phi)
-        tau_slope = to_body(x_slope * tau[0] + y_slope * tau[1], mid.phi)
-        n_slope = to_body(x_slope * n[0] + y_slope * n[1], mid.phi)
-        A_tau = A_tau + mid.V_tau * tau_slope[0] + mid.V_n * n_slope[0]
-        A_n = A_n + mid.V_tau * tau_slope[1] + mid.V_n * n_slope[1]
-        u_tau_s = u_tau_s - (1.0 + eps) * tau_slope[0]
-        u_n_s = u_n_s - (1.0 + eps) * tau_slope[1]
+        tau, n = to_plane(1.0, 0.0, x.phi), to_plane(0.0, 1.0, x.phi)
+        tau_slope = to_body(x_slope * tau[0] + y_slope * tau[1], x.phi)
+        n_slope = to_body(x_slope * n[0] + y_slope * n[1], x.phi)
+        A_tau = A_tau + x.V_tau * tau_slope[0] + x.V_n * n_slope[0]
+        A_n = A_n + x.V_tau * tau_slope[1] + x.V_n * n_slope[1]
+        u_tau_s = u_tau_s - (1.0 + x.strain) * tau_slope[0]
+        u_n_s = u_n_s - (1.0 + x.strain) * tau_slope[1]
         gradient = jnp.stack([tau_slope[1], n_slope[1]])
-    return _RelativeMotion(
-        u_tau=tank.u_tau - U_tau,
-        u_n=tank.u_n - U_n,
+    return replace(
+        x,
+        u_tau=x.u_tau - U_tau,
+        u_n=x.u_n - U_n,
         u_tau_s=u_tau_s,
         u_n_s=u_n_s,
-        u_tau_t=tank.u_tau_t - omega * U_n - A_tau,
-        u_n_t=tank.u_n_t + omega * U_tau - A_n,
+        u_tau_t=x.u_tau_t - x.omega * U_n - A_tau,
+        u_n_t=x.u_n_t + x.omega * U_tau - A_n,
         U_n_gradient=gradient,
     )
 

@@ -10,7 +10,6 @@ energy, and E the kinetic and elastic energy. Pinning stops a moving end and exc
 includes the dissipation of these waves.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,7 +21,7 @@ from slider_jax import observables as obs
 from slider_jax.beam.parameters import G, Numerics, Scalar
 from slider_jax.beam.state import fields
 from slider_jax.dynamics.model import Model
-from slider_jax.dynamics.residual import forces_and_states, turning_rate
+from slider_jax.dynamics.residual import turning_rate
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest, with_motion
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
@@ -96,10 +95,7 @@ def _saved(x: Snapshot) -> ClimbSeries:
     head = fields(x.y[:, -1])
     midline = obs.midline(x)
     rates = support.anchor_velocity(head, turning_rate(head, x.stage), x.t)
-    others = tuple(e for e in x.stage.effects if e.vertical() is None)
-    (F_tau, F_n), moments, _ = forces_and_states(cell, replace(x.stage, effects=others))
-    damped = cell.damping_time * (cell.EI * cell.kappa_t**2 + cell.EA * cell.strain_t**2)
-    given = moments * cell.kappa_t - (1.0 + cell.strain) * (F_tau * cell.V_tau + F_n * cell.V_n)
+    lost = obs.losses(x)
     return ClimbSeries(
         midline=midline,
         centre=grid.integral(grid.mid(midline)) / grid.integral(jnp.ones_like(cell.s)),
@@ -107,7 +103,7 @@ def _saved(x: Snapshot) -> ClimbSeries:
         slip=jnp.linalg.norm(rates),
         angle=head.phi,
         power=jnp.sum(obs.chamber_power(x)),
-        dissipated=grid.integral(damped + given),
+        dissipated=lost.to_water + lost.to_body,
         stored=obs.stored_energy(x).total,
     )
 

@@ -73,14 +73,7 @@ def at_rest_under(
         effects=model.effects,
         support=model.support,
         reference=Reference(
-            zero,
-            zero,
-            zero,
-            zero,
-            zero,
-            internal,
-            jnp.asarray(LONG),
-            lag=mesh.structure.damping_time / LONG,
+            *(zero,) * 5, internal, jnp.asarray(LONG), lag=mesh.structure.damping_time / LONG
         ),
         phi_head=jnp.asarray(0.0),
         load_head=jnp.zeros(3),

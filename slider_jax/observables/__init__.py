@@ -2,8 +2,11 @@
 This package may import `dynamics` and packages of lower layers."""
 
 from slider_jax.observables.energy import (
+    Losses as Losses,
     StoredEnergy as StoredEnergy,
     chamber_power as chamber_power,
+    losses as losses,
+    power_given_to as power_given_to,
     stored_energy as stored_energy,
 )
 from slider_jax.observables.measured import (

@@ -9,7 +9,6 @@ buoyancy, R the energy given to the water, D the energy that the body's viscosit
 effects dissipate, and S the energy given to the spines.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,7 +23,7 @@ from slider_jax.beam.parameters import G, Numerics, Scalar
 from slider_jax.beam.state import fields, to_plane
 from slider_jax.beam.waterline import Waterline
 from slider_jax.dynamics.model import Drive, Model
-from slider_jax.dynamics.residual import forces_and_states, turning_rate
+from slider_jax.dynamics.residual import turning_rate
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
@@ -169,17 +168,8 @@ def _saved(x: Snapshot) -> CrossingSeries:
     head = fields(x.y[:, -1])
     omega = turning_rate(head, x.stage)
     midline = obs.midline(x)
-    stretch = 1.0 + section.strain
-
-    def given(force):
-        F_tau, F_n = force
-        return -grid.integral(stretch * (F_tau * section.V_tau + F_n * section.V_n))
-
-    effects = x.stage.effects
-    weight = tuple(e for e in effects if e.vertical() is not None)
-    others = tuple(e for e in effects if e.vertical() is None)
-    of_water, moments, _ = forces_and_states(section, replace(x.stage, effects=others))
-    damped = section.EI * section.kappa_t**2 + section.EA * section.strain_t**2
+    weight = tuple(e for e in x.stage.effects if e.vertical() is not None)
+    lost = obs.losses(x)
     forces, grips = link.grips(head, omega)
     ends = jnp.stack(
         [jnp.stack(to_plane(head.V_tau - arm * omega, head.V_n, head.phi)) for arm in link.arms()]
@@ -194,9 +184,9 @@ def _saved(x: Snapshot) -> CrossingSeries:
         status=grips.status,
         load=grips.load,
         power=jnp.sum(obs.chamber_power(x)),
-        to_weight=given(total_force(weight, section)),
-        to_water=given(of_water),
-        to_body=grid.integral(section.damping_time * damped + moments * section.kappa_t),
+        to_weight=obs.power_given_to(total_force(weight, section), x),
+        to_water=lost.to_water,
+        to_body=lost.to_body,
         to_spines=-jnp.sum(forces * ends),
         stored=obs.stored_energy(x).total,
     )

@@ -7,6 +7,27 @@ import pytest
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 
+TINY = """
+name = "tiny"
+[robot]
+body_length = 0.3
+tail_length = 0.07
+linear_density = 0.7
+EI_body = 0.038
+EI_tail = 0.0058
+damping_time = 0.002
+height = 0.03
+front_chamber = [0.02, 0.145]
+rear_chamber = [0.155, 0.28]
+[parameters]
+C_d = 3.0
+m_a = 1.0
+k = 0.087
+K_Q = 4.79e-7
+[numerics]
+nodes = 11
+"""
+"""A robot, its parameters and its mesh, without trials."""
 SMALL = """\
 name = "small"
 

@@ -12,29 +12,9 @@ from slider_jax.cli.main import main
 from slider_jax.experiment.load import load
 from slider_jax.programs import FOLDER
 from tests.support.data import ROOT
+from tests.support.experiments import TINY
 
-HEAD = """
-name = "tiny"
-[robot]
-body_length = 0.3
-tail_length = 0.07
-linear_density = 0.7
-EI_body = 0.038
-EI_tail = 0.0058
-damping_time = 0.002
-height = 0.03
-front_chamber = [0.02, 0.145]
-rear_chamber = [0.155, 0.28]
-[parameters]
-C_d = 3.0
-m_a = 1.0
-k = 0.087
-K_Q = 4.79e-7
-[numerics]
-nodes = 11
-[[trials]]
-file = "trial_00.csv"
-"""
+HEAD = f'{TINY}[[trials]]\nfile = "trial_00.csv"\n'
 SQUARE = f"{HEAD}frequency = 4.8\namplitude = 250000.0\nduration = 0.4\n"
 RECORDED = f'{HEAD}waveform = "recorded"\ndrive_file = "pressure.csv"\nduration = 1.0\n'
 

@@ -19,28 +19,10 @@ from slider_jax.sweep import sweep as sweeping
 from slider_jax.sweep.report import FILES
 from slider_jax.sweep.sweep import Axis, Sweep, groups_of, run_sweep
 from tests.support.data import ROOT
+from tests.support.experiments import TINY
 from tests.support.helpers import march
 
-EXPERIMENT = """
-name = "tiny"
-[robot]
-body_length = 0.3
-tail_length = 0.07
-linear_density = 0.7
-EI_body = 0.038
-EI_tail = 0.0058
-damping_time = 0.002
-height = 0.03
-front_chamber = [0.02, 0.145]
-rear_chamber = [0.155, 0.28]
-[parameters]
-C_d = 3.0
-m_a = 1.0
-k = 0.087
-K_Q = 4.79e-7
-[numerics]
-nodes = 11
-[[trials]]
+EXPERIMENT = f"""{TINY}[[trials]]
 file = "trial_00.csv"
 frequency = 4.8
 amplitude = 250000.0
