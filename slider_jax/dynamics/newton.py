@@ -18,10 +18,14 @@ import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import optimistix as optx
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array
 
 from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
 
+SOLUTION = "solution"
+"""Name of a stage's solution for `jax.checkpoint`. A policy that saves this name avoids a second
+search for the root in reverse mode."""
 ROUNDING = 1e-14
 """Increments below this size are rounding errors. They repeat with almost the same size, so their
 ratio, close to 1, says nothing about the convergence: a straight robot that coasts has increments
@@ -181,7 +185,7 @@ class BeamAdjoint(optx.AbstractAdjoint):
         @root.def_jvp
         def root_jvp(primals, tangents):
             (inputs,), (t_inputs,) = primals, tangents
-            y, rest = root(inputs)
+            y, rest = checkpoint_name(root(inputs), SOLUTION)
             _, _, _, args, options, *_ = inputs
             t_value = tangent_of(lambda x: rewrite_fn(y, rest, x), inputs, t_inputs)
             factors = self.linear_solver.init(options["jacobian"](y, args), {})

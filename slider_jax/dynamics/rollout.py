@@ -1,5 +1,6 @@
 """Simulates one robot for many time steps; JAX can differentiate and batch the simulation."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,7 @@ from jaxtyping import Array, Float
 
 from slider_jax.beam.parameters import Numerics, Scalar
 from slider_jax.dynamics.model import Mesh, Model, make_mesh
+from slider_jax.dynamics.newton import SOLUTION
 from slider_jax.dynamics.pressures import Chambers, chamber_history
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest, make_step
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
@@ -69,7 +71,8 @@ def rollout(
     `ok` is false. Raises `InputError` for a model in three dimensions; see `spatial_rollout`. No
     error is raised for a failed step, because an error would stop all robots of a batch.
     Callers such as `simulate_trial` raise `SolverError`. With `checkpoint`, reverse-mode
-    differentiation stores only the carry of each step and recomputes all other values.
+    differentiation stores only the carry of each block of steps and computes the steps a second
+    time (`block_size`).
     """
     model.require_plane()
     mesh = make_mesh(model.body, numerics)
@@ -108,9 +111,28 @@ def run_steps(
         carry, snapshot = step(carry, (t, jnp.asarray(times.h), chambers))
         return carry, save(snapshot)
 
-    if checkpoint:
-        body = jax.checkpoint(body, prevent_cse=False)
-    return jax.lax.scan(body, begin, (begins, stages))
+    inputs = begins, stages
+    if not checkpoint:
+        return jax.lax.scan(body, begin, inputs)
+    body = jax.checkpoint(
+        body, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(SOLUTION)
+    )
+    block = jax.checkpoint(lambda carry, x: jax.lax.scan(body, carry, x), prevent_cse=False)
+    size = block_size(times.steps)
+    final, saved = jax.lax.scan(
+        block, begin, jax.tree.map(lambda x: x.reshape(-1, size, *x.shape[1:]), inputs)
+    )
+    return final, jax.tree.map(lambda x: x.reshape(times.steps, *x.shape[2:]), saved)
+
+
+def block_size(steps: int) -> int:
+    """Returns the largest divisor of `steps` up to its square root: the steps of a block.
+
+    Reverse mode stores the carry of each block and, for one block at a time, the values of each
+    step. The memory is therefore proportional to the square root of `steps` if a divisor is close
+    to it. A prime number of steps has blocks of one step.
+    """
+    return next(k for k in range(max(math.isqrt(steps), 1), 0, -1) if steps % k == 0)
 
 
 def continued(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slider_jax.beam.parameters import Numerics
-from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.rollout import TimeGrid, block_size, rollout
 from slider_jax.dynamics.step import at_rest
 from tests.support.helpers import SMALL, swimmer
 
@@ -81,28 +81,38 @@ def test_forward_reverse_and_central_differences_agree():
     assert np.all(np.abs(forward - central) < 1e-5 * size)
 
 
+def thrust_of(C_d, steps, checkpoint=True):
+    model, times = swimmer(C_d=C_d), TimeGrid(1e-3, steps)
+    run = rollout(model, times, lambda x: x.y[0, -1], SMALL, checkpoint=checkpoint)
+    return jnp.mean(run.saved)
+
+
 def kept_bytes(steps, checkpoint):
     """Bytes that reverse mode keeps between the forward and the backward pass."""
-
-    def thrust(C_d):
-        model, times = swimmer(C_d=C_d), TimeGrid(1e-3, steps)
-        return jnp.mean(
-            rollout(model, times, lambda x: x.y[0, -1], SMALL, checkpoint=checkpoint).saved
-        )
-
-    pull = jax.eval_shape(lambda x: jax.vjp(thrust, x)[1], jnp.asarray(3.0))
-    return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(pull))
-
-
-@pytest.mark.slow
-def test_reverse_mode_stores_little_more_than_the_carry_of_each_step():
-    def per_step(checkpoint):
-        return (kept_bytes(40, checkpoint) - kept_bytes(20, checkpoint)) / 20
-
-    carry = sum(x.nbytes for x in jax.tree.leaves(at_rest(swimmer(), SMALL)))
-    bounded, unbounded = per_step(True), per_step(False)
-    print(
-        f"a carry is {carry} bytes; {bounded:.0f} kept a step, {unbounded:.0f} without checkpoints"
+    kept = jax.eval_shape(
+        lambda x: jax.vjp(lambda C_d: thrust_of(C_d, steps, checkpoint), x)[1], 3.0
     )
-    assert bounded < 1.5 * carry
-    assert unbounded > 10 * bounded
+    return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(kept))
+
+
+def test_reverse_mode_stores_little_more_than_the_carry_of_each_block():
+    carry = sum(x.nbytes for x in jax.tree.leaves(at_rest(swimmer(), SMALL)))
+    bounded, unbounded = kept_bytes(100, True), kept_bytes(100, False)
+    print(f"a carry is {carry} bytes; {bounded} kept, {unbounded} without checkpoints")
+    assert bounded < 1.5 * 10 * carry
+    assert unbounded > 50 * bounded
+
+
+def test_a_block_has_about_the_square_root_of_the_number_of_steps():
+    assert [block_size(n) for n in (1, 6, 7, 36, 360)] == [1, 2, 1, 6, 18]
+
+
+def test_reverse_mode_computes_each_solution_only_twice():
+    """In the forward pass, and once in the backward pass: the derivatives of a step use it."""
+
+    def searches(function):
+        return str(jax.make_jaxpr(function)(3.0)).count(" while[")
+
+    once = searches(lambda C_d: thrust_of(C_d, 4))
+    assert once > 0
+    assert searches(jax.grad(lambda C_d: thrust_of(C_d, 4))) == 2 * once
