@@ -1,6 +1,6 @@
 """Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
-    python benchmarks/loop.py null noise situation single double --out DIR
+    python benchmarks/loop.py null noise situation single single8 double --out DIR
     python benchmarks/loop.py outside fresh blind unseen novel further --out DIR
     python benchmarks/loop.py common everyday workshop --out DIR
     python benchmarks/loop.py table --out DIR
@@ -105,7 +105,8 @@ IN_SITUATIONS = ("valve_delay", "body_stiffness", "clamp_compliance")
 """Effects that are tested in each situation of a laboratory, at ten times the detection limit."""
 SITUATION_TANKS, FIRST_SITUATION = 6, 7000
 """Number of tanks without a missing effect in each situation, and seed of the first."""
-KINDS = ("null", "noise", "situation", "single", "double", *LACKING, "table")
+KINDS = ("null", "noise", "situation", "single", "single8", "double", *LACKING, "table")
+"""`single8` are single effects in tanks with eight trials: functions may replace the effects."""
 
 
 class Case(NamedTuple):
@@ -149,7 +150,7 @@ class MemoryCache:
 
 def trials_of(kind: str) -> int:
     """Returns the number of trials of the tanks of a kind."""
-    return TRIALS_OUTSIDE if kind in LACKING else TRIALS
+    return TRIALS_OUTSIDE if kind in LACKING or kind == "single8" else TRIALS
 
 
 def limits_of(kind: str, seed: int, out: Path) -> dict[str, float]:
@@ -158,7 +159,8 @@ def limits_of(kind: str, seed: int, out: Path) -> dict[str, float]:
     if not path.exists():
         print(f"computing {path.name}", flush=True)
         names = [*LACKING.get(kind, SINGLES)]
-        found = detection_limits(sample_tank(seed, trials_of(kind)), names)
+        trials = trials_of(kind) if kind in LACKING else TRIALS
+        found = detection_limits(sample_tank(seed, trials), names)
         write_json(path, {f"{e}.{p}": x for (e, p), x in found.items()})
     return {k: np.inf if x is None else x for k, x in json.loads(path.read_text()).items()}
 
@@ -227,13 +229,13 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
                 if sized:
                     name = f"{noise}_{effect}"
                     yield Case(kind, name, i, {effect: sized}, SIZES[0], noise)
-    if kind == "single":
-        for times in SIZES:
+    if kind in ("single", "single8"):
+        for times in SIZES if kind == "single" else SIZES[:2]:
             for i, (effect, parameter) in enumerate(SINGLES.items()):
                 limit = limits_of(kind, i % TANKS, out)[f"{effect}.{parameter}"]
                 sized = _sized(effect, parameter, times * limit, i % TANKS)
                 if sized:
-                    compared = times == 3 and i < COMPARED
+                    compared = kind == "single" and times == 3 and i < COMPARED
                     name = f"{effect}_{times}"
                     yield Case(kind, name, i % TANKS, {effect: sized}, times, compared=compared)
     if kind == "double":
@@ -275,7 +277,7 @@ def run_case(
     tank, memo = tank_of(case), MemoryCache()
     start = time.perf_counter()
     # With the same names in all cases of a kind, the cases share compiled programs.
-    simulated = {kind: [*SINGLES] for kind in ("single", "double", "situation")}
+    simulated = {kind: [*SINGLES] for kind in ("single", "single8", "double", "situation")}
     simulated |= {kind: [*effects] for kind, effects in LACKING.items()}
     true = true_readings(tank, case.effects, simulated.get(case.kind, ()))
     if not all(np.isfinite(y).all() for y in true):

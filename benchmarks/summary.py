@@ -173,6 +173,9 @@ def summary_tables(out: Path) -> str:
     singles, doubles = read_cases(out, "single"), read_cases(out, "double")
     if singles:
         parts.append(_single_table(singles))
+    long_singles = read_cases(out, "single8")
+    if long_singles:
+        parts.append("Eight trials. " + _single_table(long_singles))
     if doubles:
         empty = sum(not x["effects"] for x in doubles)
         lines = [f"Two effects, {len(doubles)} pairs: F1 {f1(doubles):.3f}; {empty} empty models"]
@@ -190,7 +193,7 @@ def summary_tables(out: Path) -> str:
             f"{np.median(skill):.3f}, smallest {min(skill):.3f}"
         )
     parts.append(_method_table([*nulls, *singles, *doubles, *outside]))
-    everything = [*nulls, *noisy, *situations, *singles, *doubles, *outside]
+    everything = [*nulls, *noisy, *situations, *singles, *long_singles, *doubles, *outside]
     seconds = [x["seconds"] for x in everything]
     parts.append(
         f"{len(everything)} tanks, {np.median(seconds):.0f} s at the median, "

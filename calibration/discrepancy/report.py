@@ -244,8 +244,8 @@ def effect_sentences(outcome: LoopOutcome) -> list[str]:
             )
         if outcome.replaceable:
             text.append(
-                f"{these} may only resemble the cause, because a learned function with fewer terms "
-                "explains the data as well."
+                f"{these} may only resemble the cause, because a learned function explains the "
+                "data better, or as well with fewer terms."
             )
     for x in found:
         if x.equivalent:

@@ -10,6 +10,8 @@ from calibration.discrepancy.settings import SelectionSettings
 from calibration.learning import learn
 from calibration.learning.learn import Learning, learn_terms
 from calibration.learning.pursuit import PlaceGain
+from calibration.model.extended import Parameter
+from slider_jax.effects.base import Prior
 
 EFFECTS, CORRECTIONS = ["leakage", "camera_delay"], ["leakage"]
 
@@ -130,27 +132,39 @@ def test_without_a_significant_term_nothing_is_estimated(monkeypatch):
 
 
 def several(
-    monkeypatch, effects, terms=("a",), loss=0.0, *, verdict="identified", above=(), trials=8
+    monkeypatch,
+    effects,
+    terms=("a",),
+    loss=0.0,
+    *,
+    verdict="identified",
+    above=(),
+    trials=8,
+    growth=-1.0,
+    p=1e-5,
+    value=0.5,
 ):
     """Returns the result for an outcome that names the `effects`, and the effects of each attempt.
 
-    Each effect has one fitted parameter, and each of the function's `terms` has three. `loss` is
-    the loss by the function, in units of the residual's mean square, which is 2.
+    `p` is the p-value of a candidate beside the effects. `value` is the effects' parameter, whose
+    range is from -1 to 1. Each effect has one fitted parameter, and each of the function's `terms`
+    has three. `loss` is the loss by the function, in units of the residual's mean square, 2.
     """
-    attempts, squares = [], (100.0, 100.0 + 2.0 * loss)
+    attempts, squares = [], (1000.0, 1000.0 + 2.0 * loss)
 
-    def learned(found, known, progress):
+    def learned(found, known, progress, accepts=None):
         attempts.append(known)
         if terms:
             found.model = SimpleNamespace(
                 terms=terms,
+                fine_parts=[],
                 above_floor=list(above),
                 problem=problem,
                 fit=SimpleNamespace(predicted=1, free=range(3 * len(terms))),
                 dictionary=SimpleNamespace(
                     entries=[SimpleNamespace(effect=name) for name in terms for _ in range(3)]
                 ),
-                growth=SimpleNamespace(mean=-1.0),
+                growth=SimpleNamespace(mean=growth),
             )
         return found
 
@@ -171,9 +185,17 @@ def several(
         corrections=[],
         problem=problem,
         used_trials=list(range(trials)),
-        chosen=SimpleNamespace(predicted=0, inflation=2.0, free=range(len(effects))),
-        search=SimpleNamespace(settings=SelectionSettings(min_gain=20.0)),
-        entries=[SimpleNamespace(effect=name) for name in effects],
+        chosen=SimpleNamespace(
+            predicted=0, inflation=2.0, free=range(len(effects)), theta=[value] * len(effects)
+        ),
+        search=SimpleNamespace(
+            settings=SelectionSettings(min_gain=20.0),
+            rounds=[
+                SimpleNamespace(scores=[SimpleNamespace(p=0.0)]),
+                SimpleNamespace(scores=[SimpleNamespace(p=1.0), SimpleNamespace(p=p)]),
+            ],
+        ),
+        entries=[Parameter(name, "size", Prior(0.0, -1.0, 1.0, "-", "a test")) for name in effects],
     )
     return learn_terms(outcome), attempts
 
@@ -213,7 +235,7 @@ def test_fewer_terms_that_explain_the_data_as_well_replace_several_effects(
 @pytest.mark.parametrize(
     ("terms", "loss", "above"),
     [
-        (["a", "b", "c"], -200.0, ()),  # as many terms as effects
+        (["a", "b", "c"], 41.0 - 3.0 * COST, ()),  # as many terms as effects
         (["a", "b"], 61.0 - 2.0 * COST, ()),
         (["a"], 61.0 - COST, ()),
         (["a"], 0.0, ["tip"]),
@@ -225,18 +247,62 @@ def test_several_effects_remain_causes(monkeypatch, terms, loss, above):
 
 
 @pytest.mark.parametrize(
-    ("effects", "tested"),
+    ("effects", "terms"),
+    [(["leakage"], ["a"]), (["leakage"], ["a", "b"]), (["leakage", "tail_drag"], ["a", "b", "c"])],
+)
+def test_more_terms_have_to_explain_the_data_better(monkeypatch, effects, terms):
+    """By 20 more than the required gains of the terms exceed those of the effects."""
+    limit = 20.0 * len(effects) - COST * len(terms) - 20.0
+    found, attempts = several(monkeypatch, effects, terms, limit - 0.1)
+    assert found.outcome.replaceable and found.outcome.verdict == "learned" and attempts == [[]]
+    assert several(monkeypatch, effects, terms, limit + 0.1)[0] is None
+    # The error in the held-out trials must be smaller.
+    assert several(monkeypatch, effects, terms, limit - 0.1, growth=0.01)[0] is None
+
+
+@pytest.mark.parametrize(("groups", "loss"), [(["a"], 40.0), (["a", "b"], 0.0)])
+def test_only_places_that_may_replace_the_effects_are_estimated(groups, loss):
+    """One term may lose 40 against two effects; two terms must fit the selection as well."""
+
+    def competes(given):
+        squares = (100.0, 100.0 + 2.0 * given)
+        problem = SimpleNamespace(
+            part=lambda used: problem,
+            during=lambda mask: problem,
+            whiteners=lambda predicted: None,
+            residuals=lambda predicted, white: {(0, "tip"): np.sqrt([squares[predicted]])},
+        )
+        chosen = SimpleNamespace(predicted=0, inflation=2.0, free=range(2))
+        outcome = SimpleNamespace(
+            used_trials=[],
+            chosen=chosen,
+            effects=["leakage", "tail_drag"],
+            entries=[SimpleNamespace(effect=name) for name in ("leakage", "tail_drag")],
+            search=SimpleNamespace(settings=SelectionSettings(min_gain=20.0)),
+        )
+        place = PlaceGain("Flow", groups, 0.0, 0.0, SimpleNamespace(predicted=1))
+        return learn._competes(SimpleNamespace(outcome=outcome, problem=problem), place)
+
+    assert competes(loss - 0.1) and not competes(loss + 0.1)
+
+
+@pytest.mark.parametrize(
+    ("effects", "p", "value", "tested"),
     [
-        (["leakage"], False),
-        (["leakage", "tail_drag"], False),
-        (["leakage", "choked_flow"], True),
-        (["valve_delay", "actuator_saturation"], True),  # both change the pneumatics
-        (["camera_scale", "force_gain"], False),  # two different sensors
-        (["leakage", "tail_drag", "camera_delay"], True),
+        (["leakage"], 1.1e-4, 0.5, False),
+        (["leakage"], 0.9e-4, 0.5, True),  # a candidate is significant
+        (["leakage"], 1.0, 1.0 - 1e-3, True),  # the parameter cannot grow
+        (["leakage"], 1.0, -1.0 + 1e-3, True),
+        (["leakage", "tail_drag"], 1.0, 0.5, False),
+        (["leakage", "tail_drag"], 0.9e-4, 0.5, True),
+        (["leakage", "choked_flow"], 1.0, 0.5, True),
+        (["valve_delay", "actuator_saturation"], 1.0, 0.5, True),  # both change the pneumatics
+        (["camera_scale", "force_gain"], 1.0, 0.5, False),  # two different sensors
+        (["leakage", "tail_drag", "camera_delay"], 1.0, 0.5, True),
     ],
 )
-def test_a_function_is_tested_for_three_effects_or_two_of_one_part(monkeypatch, effects, tested):
-    found, attempts = several(monkeypatch, effects)
+def test_a_function_is_tested_only_against_doubtful_effects(monkeypatch, effects, p, value, tested):
+    found, attempts = several(monkeypatch, effects, loss=-200.0, p=p, value=value)
     assert attempts == ([[]] if tested else [])
     assert (found is not None) == tested
 

@@ -105,4 +105,4 @@ def test_too_few_trials_teach_nothing(learned):
     outcome, _ = learned
     few = learn_terms(replace(outcome, held=[*outcome.held, outcome.used_trials[0]], excess={}))
     assert few.model is None and "eight usable trials" in few.reason
-    assert learn_terms(replace(outcome, verdict="identified")) is None
+    assert learn_terms(replace(outcome, verdict="nothing_missing")) is None
