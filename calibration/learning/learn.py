@@ -22,7 +22,7 @@ from calibration.discrepancy.verdict import (
     UNEXPLAINED,
     channels_above_floor,
 )
-from calibration.inference.gauss_newton import Fit, fit_gauss_newton
+from calibration.inference.gauss_newton import Bounds, Fit, fit_gauss_newton
 from calibration.inference.goodness import (
     Excess,
     channel_errors,
@@ -57,8 +57,8 @@ CONTRADICTIONS = (NOT_CONFIRMED, VETOED)
 """Reasons for which other trials contradict the terms of a place."""
 DOUBT_P = 1e-4
 """Named effects are doubtful if the corrected p-value of a candidate beside them is below this. In
-five tanks with a wrong name, the smallest p-values are 4e-6 and less; in 13 tanks with a right name,
-9e-4 and more. The value was chosen with these tanks."""
+five tanks with a wrong name, the smallest p-values are 4e-6 and less; in ten tanks with a right
+name, 9e-4 and more. The value was chosen with these tanks."""
 FREQUENCY_RANGE = 1.2
 """Largest factor between a learned sine's frequency and the frequency of the peak in the residual.
 The peak is accurate to a fraction of a Fourier interval, so the fit needs no wider range."""
@@ -357,21 +357,20 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
 def _are_doubtful(outcome: LoopOutcome) -> bool:
     """Returns whether the named effects may only resemble the cause.
 
-    There are four reasons: the score of a candidate in the last round is significant (p < `DOUBT_P`),
-    although the candidate was not added; a parameter of an effect is at the end of its range, which limits the effect; the model
-    has three effects; or it has two effects in the same part of the rig. Without a reason, a
-    function rarely explains the data better, so the test would only cost time.
+    There are four reasons: a candidate that was not added has a significant score in the last
+    round (p < `DOUBT_P`); a parameter of an effect is at the end of its range, which limits the
+    effect; the model has three effects; or it has two effects in the same part of the rig. Without
+    a reason, a function rarely explains the data better, so the test would only cost time.
     """
-    effects, chosen, settings = outcome.effects, outcome.chosen, outcome.search.settings
+    effects, fit, settings = outcome.effects, outcome.chosen, outcome.search.settings
     parts = {_part_of_rig(LIBRARY[name]) for name in effects}
     if len(effects) > 2 or (len(effects) == 2 and len(parts) == 1):
         return True
-    for i in chosen.free:
-        prior = outcome.entries[i].prior
-        ends = {prior.low, prior.high} - {prior.null}
-        slack = settings.bound_margin * (prior.high - prior.low)
-        if outcome.entries[i].effect and any(abs(chosen.theta[i] - x) < slack for x in ends):
-            return True
+    own = [int(i) for i in fit.free if outcome.entries[i].effect]
+    bounds = Bounds.of([outcome.entries[i] for i in own])
+    share = (fit.theta[own] - bounds.low) / (bounds.high - bounds.low)
+    if np.any(np.minimum(share, 1.0 - share) < settings.bound_margin):
+        return True
     return any(x.p < DOUBT_P for x in outcome.search.rounds[-1].scores)
 
 

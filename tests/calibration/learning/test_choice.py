@@ -143,12 +143,14 @@ def several(
     growth=-1.0,
     p=1e-5,
     value=0.5,
+    low=-1.0,
 ):
     """Returns the result for an outcome that names the `effects`, and the effects of each attempt.
 
     `p` is the p-value of a candidate beside the effects. `value` is the effects' parameter, whose
-    range is from -1 to 1. Each effect has one fitted parameter, and each of the function's `terms`
-    has three. `loss` is the loss by the function, in units of the residual's mean square, 2.
+    range is from `low` to 1. Each effect has one fitted parameter, and each of the function's
+    `terms` has three. `loss` is the loss by the function, in units of the residual's mean square,
+    which is 2.
     """
     attempts, squares = [], (1000.0, 1000.0 + 2.0 * loss)
 
@@ -186,7 +188,7 @@ def several(
         problem=problem,
         used_trials=list(range(trials)),
         chosen=SimpleNamespace(
-            predicted=0, inflation=2.0, free=range(len(effects)), theta=[value] * len(effects)
+            predicted=0, inflation=2.0, free=range(len(effects)), theta=np.full(len(effects), value)
         ),
         search=SimpleNamespace(
             settings=SelectionSettings(min_gain=20.0),
@@ -195,7 +197,7 @@ def several(
                 SimpleNamespace(scores=[SimpleNamespace(p=1.0), SimpleNamespace(p=p)]),
             ],
         ),
-        entries=[Parameter(name, "size", Prior(0.0, -1.0, 1.0, "-", "a test")) for name in effects],
+        entries=[Parameter(name, "size", Prior(0.0, low, 1.0, "-", "a test")) for name in effects],
     )
     return learn_terms(outcome), attempts
 
@@ -305,6 +307,13 @@ def test_a_function_is_tested_only_against_doubtful_effects(monkeypatch, effects
     found, attempts = several(monkeypatch, effects, loss=-200.0, p=p, value=value)
     assert attempts == ([[]] if tested else [])
     assert (found is not None) == tested
+
+
+def test_an_effect_with_the_wrong_sign_is_doubtful(monkeypatch):
+    """A fit may go beyond the null by 5 % of the range if the range ends at the null."""
+    assert several(monkeypatch, ["leakage"], loss=-200.0, p=1.0, low=0.0, value=0.02) == (None, [])
+    found, _ = several(monkeypatch, ["leakage"], loss=-200.0, p=1.0, low=0.0, value=-0.049)
+    assert found.outcome.replaceable
 
 
 def test_too_few_trials_leave_the_effects(monkeypatch):
