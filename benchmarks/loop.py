@@ -106,7 +106,7 @@ IN_SITUATIONS = ("valve_delay", "body_stiffness", "clamp_compliance")
 SITUATION_TANKS, FIRST_SITUATION = 6, 7000
 """Number of tanks without a missing effect in each situation, and seed of the first."""
 KINDS = ("null", "noise", "situation", "single", "single8", "double", *LACKING, "table")
-"""`single8` are single effects in tanks with eight trials: functions may replace the effects."""
+"""`single8` are single effects in tanks with eight trials, in which functions may replace them."""
 
 
 class Case(NamedTuple):

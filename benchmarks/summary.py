@@ -175,7 +175,7 @@ def summary_tables(out: Path) -> str:
         parts.append(_single_table(singles))
     long_singles = read_cases(out, "single8")
     if long_singles:
-        parts.append("Eight trials. " + _single_table(long_singles))
+        parts.append("Single effects, eight trials:\n\n" + _single_table(long_singles))
     if doubles:
         empty = sum(not x["effects"] for x in doubles)
         lines = [f"Two effects, {len(doubles)} pairs: F1 {f1(doubles):.3f}; {empty} empty models"]

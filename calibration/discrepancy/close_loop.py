@@ -79,7 +79,7 @@ class LoopOutcome:
     noise: dict[str, ChannelNoise] = field(default_factory=dict)
     """Declared, measured and used white noise of each channel; empty for pressure logs."""
     replaceable: bool = False
-    """Whether a learned function explains the data better than the effects (`learn_terms`)."""
+    """Whether a learned function explains the data better, or as well with fewer terms."""
 
     @property
     def unstable(self) -> list[Instability]:

@@ -53,6 +53,7 @@ Progress = Callable[[str], None]
 
 NOT_CONFIRMED = "other trials do not confirm the selected terms"
 VETOED = "the selected terms increase the error in the held-out trials"
+WORSE = "the selected terms explain the data worse than the added effects"
 CONTRADICTIONS = (NOT_CONFIRMED, VETOED)
 """Reasons for which other trials contradict the terms of a place."""
 DOUBT_P = 1e-4
@@ -90,8 +91,9 @@ class Dictionary:
 
         The terms are those that can cause the residual. `scales` are the scales of the terms. If
         `effects` is only a part of the outcome's effects, the model is fitted again. Without
-        effects, the model is the loop's base model. The model also contains the effects `contained`
-        at their nulls, so that attempts with the same terms use the same compiled programs.
+        effects, the model is the loop's base model. `contained` are all effects of the compiled
+        model, with `effects` among them; the others are at their nulls. Attempts with the same
+        `contained` and the same terms use the same compiled programs.
         """
         assert isinstance(outcome.problem, TankProblem)
         used, settings = outcome.used_trials, outcome.search.settings
@@ -306,12 +308,12 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
     floor. Without such a function, the result is the function with the smallest error in the tested
     trials, if this error is below the error of the loop's model.
     """
-    named = outcome.verdict in (IDENTIFIED, CLASS) and _are_doubtful(outcome)
-    if not named and outcome.verdict not in (PARTLY, UNEXPLAINED):
+    doubtful = outcome.verdict in (IDENTIFIED, CLASS) and _are_doubtful(outcome)
+    if not doubtful and outcome.verdict not in (PARTLY, UNEXPLAINED):
         return None
     used = outcome.used_trials
     if len(used) < MIN_TRIALS:
-        if named:
+        if doubtful:
             return None
         few = Learning(outcome)
         few.reason = (
@@ -321,7 +323,8 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
         return few
     assert isinstance(outcome.problem, TankProblem)
     scales = largest_states(outcome.problem.part(used), outcome.chosen)
-    if named:
+    if doubtful:
+        # Without the effects, the programs are the same for every experiment.
         progress(f"testing whether a function replaces {', '.join(outcome.effects)}")
         known = Dictionary.of(outcome, [], [], scales, progress)
         found = _learned(Learning(outcome), known, progress, _competes)
@@ -366,12 +369,14 @@ def _are_doubtful(outcome: LoopOutcome) -> bool:
     parts = {_part_of_rig(LIBRARY[name]) for name in effects}
     if len(effects) > 2 or (len(effects) == 2 and len(parts) == 1):
         return True
+    # A physical limit counts too: an effect at its limit may have the wrong law.
     own = [int(i) for i in fit.free if outcome.entries[i].effect]
     bounds = Bounds.of([outcome.entries[i] for i in own])
     share = (fit.theta[own] - bounds.low) / (bounds.high - bounds.low)
     if np.any(np.minimum(share, 1.0 - share) < settings.bound_margin):
         return True
-    return any(x.p < DOUBT_P for x in outcome.search.rounds[-1].scores)
+    scores = outcome.search.rounds[-1].scores
+    return any(x.p < DOUBT_P and x.name not in effects for x in scores)
 
 
 def _part_of_rig(kind: type[Effect]) -> str:
@@ -384,16 +389,19 @@ def _part_of_rig(kind: type[Effect]) -> str:
     return "water" if place in ("ForceDensity", "WakeForce", "WaterMotion") else "body"
 
 
-def _required_gain(
-    entries: Sequence[Parameter], free: np.ndarray, names: Sequence[str], of: SelectionSettings
+def _sum_of_least_gains(
+    entries: Sequence[Parameter],
+    free: np.ndarray,
+    names: Sequence[str],
+    settings: SelectionSettings,
 ) -> float:
     """Returns the sum of the gains that each effect or term in `names` must exceed."""
     fitted = [entries[i].effect for i in free]
-    return sum(of.least_gain(fitted.count(name)) for name in names)
+    return sum(settings.least_gain(fitted.count(name)) for name in names)
 
 
 def _loss(problem: TankProblem, chosen: Fit, predicted: list[np.ndarray]) -> float:
-    """Returns the growth of the sum of squares from `chosen` to the readings `predicted`.
+    """Returns the increase of the sum of squares from `chosen` to the readings `predicted`.
 
     The unit is the mean square of the residual of `chosen`.
     """
@@ -402,18 +410,23 @@ def _loss(problem: TankProblem, chosen: Fit, predicted: list[np.ndarray]) -> flo
     return (other - own) / chosen.inflation
 
 
-def _competes(known: "Dictionary", place: PlaceGain) -> bool:
-    """Returns whether terms may replace all effects, judged by the readings of the selection."""
+def _competes(known: Dictionary, place: PlaceGain) -> bool:
+    """Returns whether terms may replace all effects, judged by the readings of the selection.
+
+    The loss may be up to the gains that the effects require: the fit of the terms is rough, and
+    details can improve it.
+    """
     outcome = known.outcome
     problem = known.problem.part(outcome.used_trials).during(in_selection)
     loss = _loss(problem, outcome.chosen, place.fit.predicted)
     settings = outcome.search.settings
-    allowed = _required_gain(outcome.entries, outcome.chosen.free, outcome.effects, settings)
-    return loss <= (allowed if len(place.groups) < len(outcome.effects) else 0.0)
+    return loss <= _sum_of_least_gains(
+        outcome.entries, outcome.chosen.free, outcome.effects, settings
+    )
 
 
 def _replaces_effects(learned: LearnedModel, outcome: LoopOutcome) -> bool:
-    """Returns whether a function explains the data better than the effects.
+    """Returns whether a function explains the data better than the effects, or as well.
 
     As in the selection, each effect and each term must lower the sum of squares by the `least_gain`
     of its number of parameters. A function with fewer terms than effects may explain the data as
@@ -424,8 +437,8 @@ def _replaces_effects(learned: LearnedModel, outcome: LoopOutcome) -> bool:
         return False
     chosen, settings = outcome.chosen, outcome.search.settings
     terms = [*learned.terms, *learned.fine_parts]
-    allowed = _required_gain(outcome.entries, chosen.free, outcome.effects, settings)
-    allowed -= _required_gain(learned.dictionary.entries, learned.fit.free, terms, settings)
+    allowed = _sum_of_least_gains(outcome.entries, chosen.free, outcome.effects, settings)
+    allowed -= _sum_of_least_gains(learned.dictionary.entries, learned.fit.free, terms, settings)
     if len(learned.terms) >= len(outcome.effects):
         if learned.growth.mean >= 0.0:
             return False
@@ -446,9 +459,12 @@ def _learned(
     beside = f" beside {', '.join(known.effects)}" if known.effects else ""
     progress(f"scoring {sum(map(len, known.places.values()))} terms of the dictionary{beside}")
     found.places = known.search(progress)
-    tried = [x for x in found.places if x.groups and accepts(known, x)]
+    tried = [x for x in found.places if x.groups]
     many = sum(len(x.groups) for x in tried)
     for place in tried:
+        if not accepts(known, place):
+            found.refused[place.place] = WORSE
+            continue
         _estimate(found, known, place, many, progress)
         if found.model is not None:
             found.places = [place, *(x for x in found.places if x is not place)]

@@ -24,8 +24,8 @@ from jaxtyping import Array
 from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
 
 SOLUTION = "solution"
-"""Name of a stage's solution for `jax.checkpoint`. A policy that saves this name avoids a second
-search for the root in reverse mode."""
+"""Name of a stage's solution, and of its statistics, for `jax.checkpoint`. A policy that saves this
+name avoids a third search for the root in reverse mode."""
 ROUNDING = 1e-14
 """Increments below this size are rounding errors. They repeat with almost the same size, so their
 ratio, close to 1, says nothing about the convergence: a straight robot that coasts has increments

@@ -72,7 +72,7 @@ def rollout(
     error is raised for a failed step, because an error would stop all robots of a batch.
     Callers such as `simulate_trial` raise `SolverError`. With `checkpoint`, reverse-mode
     differentiation stores only the carry of each block of steps and computes the steps a second
-    time (`block_size`).
+    time. Choose a number of steps that has a divisor near its square root (`block_size`).
     """
     model.require_plane()
     mesh = make_mesh(model.body, numerics)

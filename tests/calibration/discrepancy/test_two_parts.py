@@ -129,7 +129,7 @@ def test_effects_that_a_function_can_replace_are_corrections_at_the_noise_floor(
     record, page, model = report(replace(outcome, verdict="learned", replaceable=True))
     assert statuses(record) == {"carried_mass": "beyond_prior", "chamber_mismatch": "provisional"}
     assert record["said"].startswith("As corrections, the loop's model contains: ")
-    assert "because a learned function explains the data better" in record["said"]
+    assert "explains the data better, or as well with fewer terms" in record["said"]
     assert "is not only noise" not in record["said"] and "The model lacked" not in record["said"]
     assert page.count("<td>provisional</td>") == 1
     assert "As corrections, the loop's model contains: " in " ".join(model.split("\n# "))

@@ -144,6 +144,7 @@ def several(
     p=1e-5,
     value=0.5,
     low=-1.0,
+    fine=(),
 ):
     """Returns the result for an outcome that names the `effects`, and the effects of each attempt.
 
@@ -152,19 +153,23 @@ def several(
     `terms` has three. `loss` is the loss by the function, in units of the residual's mean square,
     which is 2.
     """
+    given = list(effects)
     attempts, squares = [], (1000.0, 1000.0 + 2.0 * loss)
 
     def learned(found, known, progress, accepts=None):
+        assert accepts is (None if verdict == "partly_explained" else learn._competes)
         attempts.append(known)
         if terms:
             found.model = SimpleNamespace(
                 terms=terms,
-                fine_parts=[],
+                fine_parts=list(fine),
                 above_floor=list(above),
                 problem=problem,
-                fit=SimpleNamespace(predicted=1, free=range(3 * len(terms))),
+                fit=SimpleNamespace(predicted=1, free=range(3 * len([*terms, *fine]))),
                 dictionary=SimpleNamespace(
-                    entries=[SimpleNamespace(effect=name) for name in terms for _ in range(3)]
+                    entries=[
+                        SimpleNamespace(effect=name) for name in [*terms, *fine] for _ in range(3)
+                    ]
                 ),
                 growth=SimpleNamespace(mean=growth),
             )
@@ -172,7 +177,13 @@ def several(
 
     monkeypatch.setattr(learn, "_learned", learned)
     monkeypatch.setattr(learn, "largest_states", lambda problem, fit: {})
-    monkeypatch.setattr(learn.Dictionary, "of", lambda outcome, effects, *_: list(effects))
+
+    def dictionary(outcome, effects, contained, *_):
+        # The test of doubtful effects uses the programs of every experiment.
+        assert list(contained) == (given if verdict == "partly_explained" else [])
+        return list(effects)
+
+    monkeypatch.setattr(learn.Dictionary, "of", dictionary)
     monkeypatch.setattr(learn, "TankProblem", SimpleNamespace)
     records = [SimpleNamespace(trial=SimpleNamespace(frequency=1.0 + i)) for i in range(trials)]
     problem = SimpleNamespace(
@@ -193,8 +204,14 @@ def several(
         search=SimpleNamespace(
             settings=SelectionSettings(min_gain=20.0),
             rounds=[
-                SimpleNamespace(scores=[SimpleNamespace(p=0.0)]),
-                SimpleNamespace(scores=[SimpleNamespace(p=1.0), SimpleNamespace(p=p)]),
+                SimpleNamespace(scores=[SimpleNamespace(p=0.0, name="x")]),
+                # The last round may have added an effect itself.
+                SimpleNamespace(
+                    scores=[
+                        SimpleNamespace(p=0.0, name=effects[-1]),
+                        SimpleNamespace(p=p, name="x"),
+                    ]
+                ),
             ],
         ),
         entries=[Parameter(name, "size", Prior(0.0, low, 1.0, "-", "a test")) for name in effects],
@@ -262,17 +279,19 @@ def test_more_terms_have_to_explain_the_data_better(monkeypatch, effects, terms)
     assert several(monkeypatch, effects, terms, limit - 0.1, growth=0.01)[0] is None
 
 
-@pytest.mark.parametrize(("groups", "loss"), [(["a"], 40.0), (["a", "b"], 0.0)])
-def test_only_places_that_may_replace_the_effects_are_estimated(groups, loss):
-    """One term may lose 40 against two effects; two terms must fit the selection as well."""
+def test_terms_compete_if_they_lose_little_in_the_readings_of_the_selection():
+    """Terms may lose 40 against two effects, because each effect must gain 20."""
 
-    def competes(given):
-        squares = (100.0, 100.0 + 2.0 * given)
-        problem = SimpleNamespace(
-            part=lambda used: problem,
-            during=lambda mask: problem,
+    def competes(loss):
+        squares = (100.0, 100.0 + 2.0 * loss)
+        selection = SimpleNamespace(
             whiteners=lambda predicted: None,
             residuals=lambda predicted, white: {(0, "tip"): np.sqrt([squares[predicted]])},
+        )
+        problem = SimpleNamespace(
+            part=lambda used: SimpleNamespace(
+                during=lambda mask: selection if mask is learn.in_selection else None
+            )
         )
         chosen = SimpleNamespace(predicted=0, inflation=2.0, free=range(2))
         outcome = SimpleNamespace(
@@ -282,10 +301,30 @@ def test_only_places_that_may_replace_the_effects_are_estimated(groups, loss):
             entries=[SimpleNamespace(effect=name) for name in ("leakage", "tail_drag")],
             search=SimpleNamespace(settings=SelectionSettings(min_gain=20.0)),
         )
-        place = PlaceGain("Flow", groups, 0.0, 0.0, SimpleNamespace(predicted=1))
+        place = PlaceGain("Flow", ["a"], 0.0, 0.0, SimpleNamespace(predicted=1))
         return learn._competes(SimpleNamespace(outcome=outcome, problem=problem), place)
 
-    assert competes(loss - 0.1) and not competes(loss + 0.1)
+    assert competes(39.9) and not competes(40.1)
+
+
+def test_a_place_whose_terms_do_not_compete_is_not_estimated(monkeypatch):
+    places = [
+        PlaceGain("Flow", ["flow_of_filling"], 100.0, 80.0, None),
+        PlaceGain("Command", ["a_command", "b_command"], 99.0, 79.0, None),
+    ]
+    estimated = []
+
+    def estimate(found, known, place, many, progress):
+        estimated.append((place.place, many))
+        found.model = SimpleNamespace(above_floor=[])
+
+    monkeypatch.setattr(learn, "_estimate", estimate)
+    known = SimpleNamespace(effects=[], places={}, search=lambda progress: list(places))
+    found = learn._learned(Learning(None), known, print, lambda _, x: x.place == "Command")
+    # The p-values are corrected for the selected terms of all places.
+    assert estimated == [("Command", 3)] and found.refused == {"Flow": learn.WORSE}
+    found = learn._learned(Learning(None), known, print, lambda *_: False)
+    assert found.model is None and found.reason == learn.WORSE
 
 
 @pytest.mark.parametrize(
@@ -307,6 +346,13 @@ def test_a_function_is_tested_only_against_doubtful_effects(monkeypatch, effects
     found, attempts = several(monkeypatch, effects, loss=-200.0, p=p, value=value)
     assert attempts == ([[]] if tested else [])
     assert (found is not None) == tested
+
+
+def test_a_detail_of_a_function_counts_like_a_term(monkeypatch):
+    limit = 20.0 - 2.0 * COST - 20.0
+    for loss, replaced in ((limit - 0.1, True), (limit + 0.1, False)):
+        found, _ = several(monkeypatch, ["leakage"], loss=loss, fine=["a_fine"])
+        assert (found is not None) == replaced
 
 
 def test_an_effect_with_the_wrong_sign_is_doubtful(monkeypatch):
