@@ -136,7 +136,8 @@ def gradient_ratio(repeats: int) -> float:
 def reverse_gradient(repeats: int) -> dict:
     """Returns cost and memory of the thrust's derivatives with respect to all numbers of the model.
 
-    `ratio` is their cost divided by the cost of the thrust. The memory is that of a time step.
+    `ratio` is their cost divided by the cost of the thrust. The memory is the increase from
+    `STRIDES` to twice as many strides, divided by the number of additional time steps.
     """
     import equinox as eqx
     import jax

@@ -1,4 +1,7 @@
-"""Learns the function that is missing in a model if no effect of the library explains the residual.
+"""Learns the function that is missing in a model.
+
+This happens if no effect of the library explains the residual, or if the named effects are
+doubtful.
 
 One half of each trial selects terms from the dictionary (`pursuit`). The other half confirms the
 selected terms. Both halves estimate the coefficients. The held-out trials test the result.

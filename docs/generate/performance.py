@@ -101,7 +101,7 @@ def other_costs(speed: dict[str, Any]) -> str:
     reverse = speed["reverse_gradient"]
     backward = (
         f"the same for reverse-mode derivatives with respect to all {reverse['numbers']} numbers "
-        "of the model, which recompute each step"
+        "of the model, which compute each step twice"
     )
     call, first = "wall-clock time of the first call", speed["first_call"]
     return table(["other costs of this simulator", "value"], [
