@@ -7,8 +7,7 @@ import pytest
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 
-TINY = """
-name = "tiny"
+ROBOT_TABLE = """\
 [robot]
 body_length = 0.3
 tail_length = 0.07
@@ -19,7 +18,10 @@ damping_time = 0.002
 height = 0.03
 front_chamber = [0.02, 0.145]
 rear_chamber = [0.155, 0.28]
-[parameters]
+"""
+TINY = f"""
+name = "tiny"
+{ROBOT_TABLE}[parameters]
 C_d = 3.0
 m_a = 1.0
 k = 0.087
@@ -28,20 +30,10 @@ K_Q = 4.79e-7
 nodes = 11
 """
 """A robot, its parameters and its mesh, without trials."""
-SMALL = """\
+SMALL = f"""\
 name = "small"
 
-[robot]
-body_length = 0.3
-tail_length = 0.07
-linear_density = 0.7
-EI_body = 0.038
-EI_tail = 0.0058
-damping_time = 0.002
-height = 0.03
-front_chamber = [0.02, 0.145]
-rear_chamber = [0.155, 0.28]
-water_density = 1000.0
+{ROBOT_TABLE}water_density = 1000.0
 
 [parameters]
 C_d = 3.0

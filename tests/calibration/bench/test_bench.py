@@ -24,6 +24,7 @@ from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.io.toml import read_toml, validate
 from tests.support.data import ROOT
+from tests.support.experiments import ROBOT_TABLE
 
 ROBOT = {
     "body_length": 0.3, "tail_length": 0.07, "linear_density": 0.7, "EI_body": 0.038,
@@ -225,20 +226,10 @@ def test_alpha_from_the_full_beam_equals_that_of_the_closed_form(declared):
     assert found.mean_square < 1.3
 
 
-BENCH = """\
+BENCH = f"""\
 name = "bench"
 
-[robot]
-body_length = 0.3
-tail_length = 0.07
-linear_density = 0.7
-EI_body = 0.038
-EI_tail = 0.0058
-damping_time = 0.002
-height = 0.03
-front_chamber = [0.02, 0.145]
-rear_chamber = [0.155, 0.28]
-
+{ROBOT_TABLE}
 [[tip_load]]
 file = "whole.csv"
 
