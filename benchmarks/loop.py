@@ -285,7 +285,7 @@ def run_case(
     found = noisy_records(tank, true, _seeded(case.seed, case.kind, case.name), case.noise)
     made, start = time.perf_counter() - start, time.perf_counter()
     outcome = close_tank_loop(tank, found, candidates, memo, progress)
-    explained = outcome.verdict in (IDENTIFIED, CLASS)  # a function may replace several effects
+    explained = outcome.verdict in (IDENTIFIED, CLASS)  # may be doubtful
     learning = learn_terms(outcome, progress) if explained or case.kind in LACKING else None
     outcome = outcome if learning is None else learning.outcome
     seconds = time.perf_counter() - start

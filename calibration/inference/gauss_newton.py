@@ -139,9 +139,13 @@ class Bounds(NamedTuple):
         """Returns theta (parameters,) of z (parameters,)."""
         return self.low + (self.high - self.low) / (1.0 + jnp.exp(-z))
 
+    def share_of(self, theta):
+        """Returns the position of theta in the range: 0 at the low bound, 1 at the high bound."""
+        return (theta - self.low) / (self.high - self.low)
+
     def z_of(self, theta):
         """Returns z of theta. A theta at a bound is first moved inside by 1e-6 of the range."""
-        share = jnp.clip((theta - self.low) / (self.high - self.low), 1e-6, 1.0 - 1e-6)
+        share = jnp.clip(self.share_of(theta), 1e-6, 1.0 - 1e-6)
         return jnp.log(share / (1.0 - share))
 
 

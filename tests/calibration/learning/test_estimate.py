@@ -9,8 +9,9 @@ from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
 from calibration.inference.problem import FAILED, ChannelBlock
-from calibration.learning import learn
-from calibration.learning.learn import Dictionary, Learning
+from calibration.learning import dictionary, learn
+from calibration.learning.dictionary import Dictionary
+from calibration.learning.learn import Learning
 from calibration.learning.pursuit import PlaceGain
 from calibration.model.extended import Parameter, model_parameters
 from slider_jax.channels import SLIDER_CHANNELS
@@ -157,7 +158,7 @@ def test_a_dictionary_of_details_keeps_the_fit_and_starts_details_at_their_null(
     free = np.array([0, 1, 2, 3])
     start = Fit(theta, free, 0.0, 300, [], [], True)
     outcome = SimpleNamespace(effects=["leakage"])
-    monkeypatch.setattr(learn, "_extended", lambda problem, names, swing: names)
+    monkeypatch.setattr(dictionary, "_extended", lambda problem, names, swing: names)
     problem = SimpleNamespace(swing=None)
     known = Dictionary(outcome, [], problem, entries, start)
     found, kept = known.with_details(["valve_opening"])
@@ -174,9 +175,9 @@ def test_a_dictionary_of_details_keeps_the_fit_and_starts_details_at_their_null(
 @pytest.mark.parametrize(("channel", "all_terms"), [("p_rear", False), ("tip", True)])
 def test_a_pressure_above_the_noise_floor_excludes_terms_of_forces(monkeypatch, channel, all_terms):
     above = {c: Excess(np.ones(1), 1.6 if c == channel else 1.4) for c in ("p_rear", "tip")}
-    monkeypatch.setattr(learn, "channel_excess", lambda problem, fit: above)
+    monkeypatch.setattr(dictionary, "channel_excess", lambda problem, fit: above)
     problem = SimpleNamespace(all_channels=SLIDER_CHANNELS)
-    terms = learn._possible_terms(problem, None, DEFAULT_SETTINGS)
+    terms = dictionary._possible_terms(problem, None, DEFAULT_SETTINGS)
     assert {"rear_opening", "pressure_reading_drift", "rear_set_pressure"} < set(terms)
     assert ("drag_along_robot" in terms) == ("tip_reading_delay" in terms) == all_terms
     assert all_terms == (terms == list(DICTIONARY))
