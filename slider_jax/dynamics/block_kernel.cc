@@ -521,11 +521,21 @@ template <int M, int N>
   }
 }
 
+// Copies n numbers. The copies of a robot's rows are short, so a call of memcpy would take longer.
+inline void copy(const double* from, double* to, int64_t n) {
+  if (n < LANES) {
+    for (int64_t c = 0; c < n; c++) to[c] = from[c];
+    return;
+  }
+  for (int64_t c = 0; c < n - LANES; c += LANES) store(to + c, load(from + c));
+  store(to + n - LANES, load(from + n - LANES));
+}
+
 // Copies rows of `cells` numbers into rows of `stride` numbers, and sets the rest to zero.
 template <int ROWS>
 void copy_rows(const double* from, int64_t from_stride, double* to, int64_t cells, int64_t stride) {
   for (int i = 0; i < ROWS; i++) {
-    for (int64_t c = 0; c < cells; c++) to[i * stride + c] = from[i * from_stride + c];
+    copy(from + i * from_stride, to + i * stride, cells);
     for (int64_t c = cells; c < stride; c++) to[i * stride + c] = 0.0;
   }
 }
@@ -611,45 +621,68 @@ void solve(const double* const* factors, const double* const* r, const double* c
     for (int i = 0; i < K; i++) {
       double *f = y[g] + i * nodes, *motions = y[g] + (K + i) * nodes;
       f[0] = first[g][i];
-      std::memcpy(f + 1, forces[g] + i * stride, cells * sizeof(double));
-      std::memcpy(motions, motion[g] + i * stride, cells * sizeof(double));
+      copy(forces[g] + i * stride, f + 1, cells);
+      copy(motion[g] + i * stride, motions, cells);
     }
   }
 }
 
-inline Vec absolute(Vec x) { return x < 0.0 ? -x : x; }
+inline Vec absolute(Vec x) { return (Vec)((Lanes)x & INT64_MAX); }
+
+// The largest change |step| / magnitude in each lane. Products replace the quotients in the
+// comparisons, because they are faster.
+struct Largest {
+  Vec step{}, magnitude = Vec{} + 1.0, invalid{};
+
+  void include(Vec change, Vec size) {
+    const Vec by = absolute(change);
+    const Lanes larger = by * magnitude > step * size;
+    step = larger ? by : step;
+    magnitude = larger ? size : magnitude;
+    invalid += 0.0 * by;
+  }
+
+  // Returns the largest change of all lanes, or NaN if a change is not finite.
+  double of_all() const {
+    const Vec ratio = step / magnitude, unknown = invalid + 0.0 * ratio;
+    double found = 0.0;
+    for (int lane = 0; lane < LANES; lane++)
+      found = (ratio[lane] > found ? ratio[lane] : found) + unknown[lane];
+    return found;
+  }
+};
 
 // A step of Newton's method: better = y - change. `better` may be y. Returns the largest change of an
 // unknown relative to max(scale, |y|), or NaN if one is not finite.
 template <int K>
 double correct(const double* y, const double* scale, const double* change, double* better,
                int64_t cells) {
-  Vec largest{}, invalid{};
+  const int64_t nodes = cells + 1;
+  Largest largest;
   const auto improve = [&](Vec before, Vec step, double least) {
-    const Vec magnitude = absolute(before);
-    const Vec ratio = absolute(step) / (magnitude > least ? magnitude : Vec{} + least);
-    largest = ratio > largest ? ratio : largest;
-    invalid += 0.0 * ratio;
+    const Vec size = absolute(before);
+    largest.include(step, size > least ? size : Vec{} + least);
     return before - step;
   };
   for (int i = 0; i < 2 * K; i++) {
-    const int64_t start = i * (cells + 1);
-    const double *before = y + start, *step = change + start;
-    double* after = better + start;
-    int64_t c = 0;
-    for (; c + LANES <= cells + 1; c += LANES)
+    const double *before = y + i * nodes, *step = change + i * nodes;
+    double* after = better + i * nodes;
+    if (nodes < LANES) {
+      Vec some{}, some_step{};
+      std::memcpy(&some, before, nodes * sizeof(double));
+      std::memcpy(&some_step, step, nodes * sizeof(double));
+      some = improve(some, some_step, scale[i]);
+      std::memcpy(after, &some, nodes * sizeof(double));
+      continue;
+    }
+    // The last nodes come first, because the others may overwrite some of their values.
+    const int64_t last = nodes - LANES;
+    const Vec end = improve(load(before + last), load(step + last), scale[i]);
+    for (int64_t c = 0; c < last; c += LANES)
       store(after + c, improve(load(before + c), load(step + c), scale[i]));
-    const size_t rest = (cells + 1 - c) * sizeof(double);
-    Vec last{}, last_step{};
-    std::memcpy(&last, before + c, rest);
-    std::memcpy(&last_step, step + c, rest);
-    last = improve(last, last_step, scale[i]);
-    std::memcpy(after + c, &last, rest);
+    store(after + last, end);
   }
-  double found = 0.0;
-  for (int lane = 0; lane < LANES; lane++)
-    found = (largest[lane] > found ? largest[lane] : found) + invalid[lane];
-  return found;
+  return largest.of_all();
 }
 
 // The transpose of `solve`: from (2K, nodes) to the cells, the tail and the head.
@@ -711,24 +744,23 @@ using Out = ffi::ResultBuffer<ffi::F64>;
 
 // The robots of a batch: leading axes of all buffers, some of them of length 1 in an input.
 struct Batch {
-  std::vector<int64_t> lengths;
+  ffi::Span<const int64_t> lengths;
   int64_t robots = 1;
+  mutable int used = 0;
 
-  template <class Dims>
-  Batch(const Dims& dims, size_t own) {
-    for (size_t i = 0; i + own < dims.size(); i++) {
-      lengths.push_back(dims[i]);
-      robots *= dims[i];
-    }
+  Batch(ffi::Span<const int64_t> dims, size_t own) : lengths(dims.first(dims.size() - own)) {
+    for (const int64_t length : lengths) robots *= length;
   }
 
-  // Returns the place of each robot's data in a buffer whose last `own` axes belong to a robot.
-  std::vector<const double*> rows(In x, size_t own) const {
+  // Returns the place of each robot's data in a buffer whose last `own` axes belong to a robot. Each
+  // buffer of a call has a vector of its own, which stays for the next call of the thread.
+  const double* const* rows(In x, size_t own) const {
+    static thread_local std::vector<const double*> places[7];
+    std::vector<const double*>& found = places[used++];
     const auto dims = x.dimensions();
     int64_t size = 1;
     for (size_t i = dims.size() - own; i < dims.size(); i++) size *= dims[i];
-    std::vector<const double*> found(1, x.typed_data());
-    found.reserve(robots);
+    found.assign(1, x.typed_data());
     for (size_t i = lengths.size(); i-- > 0;) {
       const int64_t step = dims[i] == 1 ? 0 : size;
       size *= dims[i];
@@ -736,7 +768,7 @@ struct Batch {
       for (int64_t k = 1; k < lengths[i]; k++)
         for (size_t m = 0; m < before; m++) found.push_back(found[m] + k * step);
     }
-    return found;
+    return found.data();
   }
 };
 

@@ -34,7 +34,7 @@ from slider_jax.dynamics.residual import (
     residual,
 )
 from slider_jax.dynamics.shapes import has_shape, shape_at, shape_in_step
-from slider_jax.dynamics.time_schemes import Scheme, extrapolation
+from slider_jax.dynamics.time_schemes import KNOWN, Scheme, extrapolation
 from slider_jax.effects import states_at_rest
 from slider_jax.supports import Support
 
@@ -42,8 +42,8 @@ from slider_jax.supports import Support
 class Carry(eqx.Module):
     """The state that one step passes to the next step."""
 
-    history: Float[Array, "3 6 nodes"]
-    """The last three solutions, oldest first, which predict the next solution."""
+    history: Float[Array, "4 6 nodes"]
+    """The last solutions, oldest first, which predict the next solution."""
     memory: Memory
     chambers: Chambers
     ok: Bool[Array, ""]
@@ -285,7 +285,7 @@ def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
 def initial_carry(y: Unknowns, memory: Memory, chambers: Chambers) -> Carry:
     """Returns the carry of a rollout that starts at the state (y, memory, chambers)."""
     return Carry(
-        history=jnp.broadcast_to(y, (3, *y.shape)),
+        history=jnp.broadcast_to(y, (KNOWN, *y.shape)),
         memory=memory,
         chambers=chambers,
         ok=jnp.asarray(True),

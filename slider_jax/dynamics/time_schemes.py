@@ -39,12 +39,26 @@ Numer. Anal. 14, 1006-1021."""
 SCHEMES = {scheme.name: scheme for scheme in (BACKWARD_EULER, SDIRK2)}
 
 
+KNOWN = 4
+"""Number of solutions that predict the next solution."""
+
+
 def extrapolation(scheme: Scheme) -> list[list[float]]:
-    """Returns weights that extrapolate the last three solutions (oldest first) to each stage."""
-    times = [node - back for back in (3, 2, 1, 0) for node in scheme.nodes]
+    """Returns weights that predict the solution of each stage from `KNOWN` solutions, oldest first.
+
+    The prediction is the straight line through the last two solutions, plus the error of such a
+    line in the same stage of the previous step. The error of a stage is nearly the same in
+    successive steps. A parabola through three solutions of different stages would amplify it.
+    """
+    times = [node - back for back in (2, 1, 0) for node in scheme.nodes]
     rows = []
-    for stage in range(scheme.stages):
-        end = len(times) - scheme.stages + stage
-        known, target = times[end - 3 : end], times[end]
-        rows.append([math.prod((target - b) / (a - b) for b in known if b != a) for a in known])
+    for stage in range(-scheme.stages, 0):
+        before, last, target = times[stage - 2], times[stage - 1], times[stage]
+        slope = (target - last) / (last - before)
+        row = [0.0] * KNOWN
+        for past, sign in ((0, 1.0), (scheme.stages, -1.0)):
+            row[KNOWN - 1 - past] += sign * (1.0 + slope)
+            row[KNOWN - 2 - past] -= sign * slope
+        row[KNOWN - scheme.stages] += 1.0
+        rows.append(row)
     return rows

@@ -28,7 +28,7 @@ from slider_jax.dynamics.model import Model, SpaceSettings
 from slider_jax.dynamics.newton import BeamNewton
 from slider_jax.dynamics.pressures import Chambers, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, run_steps
-from slider_jax.dynamics.time_schemes import SDIRK2, Scheme, extrapolation
+from slider_jax.dynamics.time_schemes import KNOWN, SDIRK2, Scheme, extrapolation
 from slider_jax.effects import in_space, total_load
 from slider_jax.spatial.lines import chamber_lines, lines_of_chambers, tendon_lines
 from slider_jax.spatial.mesh import SpatialMesh, spatial_mesh
@@ -66,12 +66,12 @@ class SpatialMemory(eqx.Module):
 class SpatialCarry(eqx.Module):
     """The state that one step passes to the next step."""
 
-    history: Float[Array, "3 9 nodes"]
-    """T, M and V of the last three solutions, oldest first."""
-    frames: Float[Array, "3 4 nodes"]
-    """Quaternions of the frames of the last three solutions."""
-    twist: Float[Array, "3 cells"]
-    """Twist [1/m] of the last three solutions."""
+    history: Float[Array, "4 9 nodes"]
+    """T, M and V of the last solutions, oldest first, which predict the next solution."""
+    frames: Float[Array, "4 4 nodes"]
+    """Quaternions of the frames of these solutions."""
+    twist: Float[Array, "4 cells"]
+    """Twist [1/m] of these solutions."""
     memory: SpatialMemory
     chambers: Chambers
     ok: Bool[Array, ""]
@@ -397,9 +397,9 @@ def at_rest_in_space(
     y = jnp.concatenate([jnp.zeros((6, len(s))), V])
     frames = jnp.stack(frame)[:, None] + 0.0 * s
     return SpatialCarry(
-        history=jnp.broadcast_to(y, (3, *y.shape)),
-        frames=jnp.broadcast_to(frames, (3, *frames.shape)),
-        twist=jnp.zeros((3, len(s) - 1)),
+        history=jnp.broadcast_to(y, (KNOWN, *y.shape)),
+        frames=jnp.broadcast_to(frames, (KNOWN, *frames.shape)),
+        twist=jnp.zeros((KNOWN, len(s) - 1)),
         memory=memory,
         chambers=start_chambers(model),
         ok=jnp.asarray(True),

@@ -10,18 +10,24 @@ import pytest
 from slider_jax.dynamics.newton import BeamNewton
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import at_rest
-from slider_jax.dynamics.time_schemes import BACKWARD_EULER, SDIRK2, extrapolation
+from slider_jax.dynamics.time_schemes import BACKWARD_EULER, KNOWN, SDIRK2, extrapolation
 from tests.support.helpers import SMALL, observe, swimmer
+
+SOLUTIONS = 6
+"""Number of steps with solutions at every stage."""
 
 
 @pytest.mark.parametrize("scheme", [BACKWARD_EULER, SDIRK2], ids=lambda s: s.name)
-def test_the_predictor_is_exact_for_a_parabola_in_time(scheme):
-    """Solutions exist at every stage; each is predicted from the three before it."""
-    stages = np.array([step + node for step in range(4) for node in scheme.nodes])
-    values = 1.0 - 2.0 * stages + 3.0 * stages**2
+@pytest.mark.parametrize("error", [0.0, 0.3])
+def test_the_predictor_is_exact_for_a_parabola_with_an_error_that_repeats(scheme, error):
+    """Each solution is predicted from those before it; the error belongs to the first stage."""
+    nodes = np.arange(SOLUTIONS)[:, None] + np.array(scheme.nodes)
+    values = 1.0 - 2.0 * nodes + 3.0 * nodes**2
+    values[:, 0] += error
     for stage, weights in enumerate(extrapolation(scheme)):
-        target = len(stages) - scheme.stages + stage
-        np.testing.assert_allclose(np.dot(weights, values[target - 3 : target]), values[target])
+        target = values.size - scheme.stages + stage
+        known = values.ravel()[target - KNOWN : target]
+        np.testing.assert_allclose(weights @ known, values.ravel()[target], rtol=1e-12)
 
 
 def test_float32_raises_an_error_that_names_enable_float64():
