@@ -90,7 +90,7 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
         kept = np.intersect1d(np.concatenate([start.free for *_, start in pairs]), final.free)
         if J is None or not np.all([any(x[i].any() for x in J.values()) for i in kept]):
             tangents = effect_tangents(problem, entries, final.theta, final.free, settings)
-            J = problem.whitened(tangents, refits.white)
+            J = problem.whitened(tangents, refits.white, in_place=True)
         fits = refits.raced(final, [start for *_, start in pairs], J, judge=True)
         for (round_, name, _), fit in zip(pairs, fits, strict=True):
             if fit.converged:

@@ -27,8 +27,9 @@ from calibration.inference.problem import FAILED, AbstractProblem, normal_equati
 from calibration.model.extended import Parameter
 
 MOST_KEPT = 2**29
-"""Largest size of the tangents that are kept for other whiteners [bytes]. A cache on the disk
-contains larger tangents. With 150 parameters, six minutes of samples at 500 Hz have this size."""
+"""Largest size of the tangents that are kept beside the whitened tangents [bytes]. A cache on the
+disk contains larger tangents. With 150 parameters, six minutes of samples at 500 Hz have this
+size."""
 
 
 def effect_tangents(
@@ -49,11 +50,12 @@ def effect_tangents(
     scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
     finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
     tangential = [i for i in scored if i not in finite]
-    shapes = [(len(theta), *r.values.shape) for r in problem.records]
-    found = [np.zeros(shape, np.float32) for shape in shapes]
-    unit = np.eye(len(theta))
-    # No variable holds the tangents, so that `_set_rows` can free them.
-    _set_rows(found, tangential, [*problem.tangents(theta, unit[tangential])], problem)
+    directions = np.zeros((len(theta), len(theta)))
+    directions[tangential, tangential] = 1.0
+    found = [x.astype(np.float32, copy=False) for x in problem.tangents(theta, directions)]
+    failed = _failed(found, problem)
+    for x in found:
+        x[failed] = 0.0
     _set_secants(found, finite, theta, problem, entries, settings)
     return found
 
@@ -75,9 +77,9 @@ def renewed_tangents(
     own = [int(i) for name in near for i in groups[name] if i not in free]
     finite = [i for i in own if entries[i].prior.start is not None]
     rest = np.array([i for i in own if i not in finite], int)
-    _set_rows(last, free, [*derivatives_of_fit(problem, entries, current)], problem)
+    _set_rows(last, free, derivatives_of_fit(problem, entries, current), problem)
     if len(rest):
-        _set_rows(last, rest, [*reading_derivatives(problem, entries, theta, rest)], problem)
+        _set_rows(last, rest, reading_derivatives(problem, entries, theta, rest), problem)
     _set_secants(last, finite, theta, problem, entries, settings)
     return last
 
@@ -88,16 +90,18 @@ def _set_rows(
     along: list[np.ndarray],
     problem: AbstractProblem,
 ) -> None:
-    """Sets `rows` of the arrays `found` to the derivatives `along`, or to zero if not finite.
+    """Sets `rows` of the arrays `found` to the derivatives `along`, or to zero if not finite."""
+    failed = _failed(along, problem)
+    for x, new in zip(found, along, strict=True):
+        x[rows] = new
+        x[np.asarray(rows)[failed]] = 0.0
 
-    The list `along` is empty afterwards.
-    """
+
+def _failed(along: list[np.ndarray], problem: AbstractProblem) -> np.ndarray:
+    """Returns for each row (k,) of the derivatives `along` whether a value is not finite."""
     channels = problem.all_channels.rows(problem.channels)
     finite = [np.isfinite(x[:, c]).all(axis=1) for x in along for c in channels]
-    failed = ~np.all(finite, axis=0)
-    for x in found:
-        x[rows] = along.pop(0)  # frees the memory of a trial before the next one
-        x[np.asarray(rows)[failed]] = 0.0
+    return ~np.all(finite, axis=0)
 
 
 def _set_secants(
@@ -162,19 +166,30 @@ class ScoringTangents(NamedTuple):
     """Tangents (parameters, channels, samples) of each trial, or None if they are too large."""
     white: Tangents
 
-    def whitened_again(self, refits: "Refits") -> "ScoringTangents":
-        """Returns the tangents with other whiteners. Large tangents are computed again."""
-        raw = self.raw
+    @classmethod
+    def of(
+        cls, refits: "Refits", at: Fit, raw: list[np.ndarray] | None = None
+    ) -> "ScoringTangents":
+        """Returns the tangents at a fit. If `raw` is None, they are computed.
+
+        Large tangents are whitened in place.
+        """
+        problem = refits.problem
         if raw is None:
-            raw = effect_tangents(
-                refits.problem, refits.entries, self.at.theta, self.at.free, refits.settings
-            )
-        return ScoringTangents(self.at, self.raw, refits.problem.whitened(raw, refits.white))
+            raw = effect_tangents(problem, refits.entries, at.theta, at.free, refits.settings)
+        large = sum(x.nbytes for x in raw) > MOST_KEPT
+        white = problem.whitened(raw, refits.white, in_place=large)
+        return cls(at, None if large else raw, white)
 
-
-def kept_tangents(raw: list[np.ndarray]) -> list[np.ndarray] | None:
-    """Returns the tangents `raw`, or None if they are larger than `MOST_KEPT`."""
-    return raw if sum(x.nbytes for x in raw) <= MOST_KEPT else None
+    def raw_of(self, names: Sequence[str], refits: "Refits") -> list[np.ndarray]:
+        """Returns `raw` for the effects `names` and the fitted parameters; other rows may be 0."""
+        if self.raw is not None:
+            return self.raw
+        shapes = [(len(self.at.theta), *r.values.shape) for r in refits.problem.records]
+        none = [np.zeros(shape, np.float32) for shape in shapes]
+        return renewed_tangents(
+            none, refits.problem, refits.entries, self.at, names, refits.settings
+        )
 
 
 class FitStart(NamedTuple):

@@ -37,9 +37,7 @@ from calibration.discrepancy.refits import (
     Refits,
     ScoringTangents,
     Tangents,
-    effect_tangents,
     initial_theta,
-    kept_tangents,
     renewed_tangents,
 )
 from calibration.discrepancy.rounds import (
@@ -175,7 +173,9 @@ def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
         before, refits = refits, _with_measured_discrepancies(refits, found)
         if refits is not before:
             assert tangents is not None
-            tangents = tangents.whitened_again(refits)
+            at, raw = tangents.at, tangents.raw
+            tangents = None  # frees the memory before other whiteners are applied
+            tangents = ScoringTangents.of(refits, at, raw)
         _remove_unnecessary(refits, found, round_)
     refits = _widen(refits, found)
     _fix_shapes(refits, found)
@@ -231,32 +231,20 @@ def _round(
     """
     problem, entries, progress = refits.problem, refits.entries, refits.progress
     settings, scored = refits.settings, scoring_entries(refits.entries)
-    if last is None:
-        tangents = effect_tangents(problem, entries, current.theta, current.free, settings)
-    else:
-        tangents = renewed_tangents(last, problem, entries, current, near, settings)
-    J = problem.whitened(tangents, refits.white)
-    scores, blocks = _scores(refits, current, rest, J)
-    round_, candidates, starts = SelectionStep(scores), [], []
-    for s in _short_list(scores, refits, scored):
-        moved = np.flatnonzero(s.step)
-        changed = [
-            y + np.tensordot(s.step[moved], x[moved], 1)
-            for y, x in zip(current.predicted, tangents, strict=True)
-        ]
-        changes = relative_changes(problem, current.predicted, changed).items()
-        limits = refits.discrepancies(changed)
-        if any(x > settings.naming_share * limits[c] for c, x in changes):
-            group = effect_entries(entries)[s.name]
-            theta = initial_theta(refits, current.theta, group, s.step)
-            free = np.concatenate([current.free, group])
-            candidates.append(s)
-            starts.append(FitStart(theta, free, current.theta))
-    raw = kept_tangents(tangents)
-    del tangents  # frees the memory of large tangents before the refits
+    if last is not None:
+        last = renewed_tangents(last, problem, entries, current, near, settings)
+    tangents = ScoringTangents.of(refits, current, last)
+    scores, blocks = _scores(refits, current, rest, tangents.white)
+    candidates = _visible(refits, current, _short_list(scores, refits, scored), tangents)
+    round_, starts = SelectionStep(scores), []
+    for s in candidates:
+        group = effect_entries(entries)[s.name]
+        theta = initial_theta(refits, current.theta, group, s.step)
+        starts.append(FitStart(theta, np.concatenate([current.free, group]), current.theta))
     if candidates:
         progress(f"refitting with each of: {', '.join(s.name for s in candidates)}")
-    for s, fit in zip(candidates, refits.raced(current, starts, J), strict=True):
+    fits = refits.raced(current, starts, tangents.white)
+    for s, fit in zip(candidates, fits, strict=True):
         if fit.square < FAILED:
             round_.refitted.append(_refit(refits, current, s, fit))
         else:
@@ -278,7 +266,30 @@ def _round(
     if best:
         round_.chosen = best.name
         round_.equivalent = equivalent_effects(best, round_, scored, current, blocks, settings)
-    return round_, ScoringTangents(current, raw, J)
+    return round_, tangents
+
+
+def _visible(
+    refits: Refits, current: Fit, candidates: Sequence[Score], tangents: ScoringTangents
+) -> list[Score]:
+    """Returns the candidates that change a channel by more than a share of the discrepancy.
+
+    The changes are predicted from the `tangents`; the share is `naming_share`.
+    """
+    if not candidates:
+        return []
+    raw, found = tangents.raw_of([s.name for s in candidates], refits), []
+    for s in candidates:
+        moved = np.flatnonzero(s.step)
+        changed = [
+            y + np.tensordot(s.step[moved], x[moved], 1)
+            for y, x in zip(current.predicted, raw, strict=True)
+        ]
+        limits = refits.discrepancies(changed)
+        changes = relative_changes(refits.problem, current.predicted, changed)
+        if any(x > refits.settings.naming_share * limits[c] for c, x in changes.items()):
+            found.append(s)
+    return found
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:

@@ -328,10 +328,11 @@ def broyden_correction(
     step: np.ndarray,
     A: np.ndarray,
 ) -> BroydenCorrection:
-    """Returns the correction of `broyden_update`."""
+    """Returns the correction of `broyden_update`, with the precision of `J`."""
     scale = np.maximum(np.diag(A), 1e-300)
     weight = scale * step / (step @ (scale * step))
-    return BroydenCorrection(weight, {key: change[key] - step @ x for key, x in J.items()})
+    error = {key: (change[key] - step @ x).astype(x.dtype) for key, x in J.items()}
+    return BroydenCorrection(weight, error)
 
 
 @jax.jit

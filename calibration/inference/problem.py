@@ -82,11 +82,14 @@ def normal_equations(
     """
 
     def block(key: tuple[int, str], r: np.ndarray) -> ChannelBlock:
-        A, b = 0.0, 0.0
-        for here in slices(len(r), len(J[key])):
-            x = J[key][:, here].astype(float)
-            A, b = A + x @ x.T, b + x @ r[here]
-        return ChannelBlock(*key, np.asarray(A), np.asarray(b), float(r @ r), len(r))
+        along = J[key]
+        moving = np.flatnonzero(along.any(axis=1))
+        A, b = np.zeros((len(along), len(along))), np.zeros(len(along))
+        for here in slices(len(r), len(moving)):
+            x = along[moving, here].astype(float)
+            A[np.ix_(moving, moving)] += x @ x.T
+            b[moving] += x @ r[here]
+        return ChannelBlock(*key, A, b, float(r @ r), len(r))
 
     return [block(key, r) for key, r in residuals.items()]
 
@@ -167,7 +170,10 @@ class AbstractProblem(ABC):
         return self._cached("predict", [theta], lambda: self._predict(theta))
 
     def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
-        """Returns derivatives (k, channels, samples) of each trial's readings in k `directions`."""
+        """Returns derivatives (k, channels, samples) of each trial's readings in k `directions`.
+
+        The caller may change the arrays.
+        """
         return self._cached(
             "tangents", [theta, directions], lambda: self._tangents(theta, directions)
         )
@@ -220,21 +226,27 @@ class AbstractProblem(ABC):
         return found
 
     def whitened(
-        self, changes: list[np.ndarray], white: dict[tuple[int, str], Whitener]
+        self,
+        changes: list[np.ndarray],
+        white: dict[tuple[int, str], Whitener],
+        in_place: bool = False,
     ) -> dict[tuple[int, str], np.ndarray]:
         """Returns the whitened `changes` (k, channels, samples) of each trial's readings.
 
         The result has an array (k, n) for every trial and channel, with the precision of `changes`.
+        If `in_place` is true, the result replaces the `changes` in their memory.
         """
 
         def one(key):
             i, channel = key
             r = self.records[i]
             series, there = changes[i][:, r.row(channel)], r.there(channel)
-            series = series if there.all() else series[:, there]
-            found = np.empty_like(series)
-            for rows in slices(*series.shape):
-                found[rows] = white[key](series[rows])
+            k, n = len(series), int(there.sum())
+            found = series[:, :n] if in_place else np.zeros((k, n), series.dtype)
+            moving = np.flatnonzero(series.any(axis=1))
+            for rows in slices(len(moving), len(there)):
+                here = moving[rows]
+                found[here] = white[key](series[here][:, there])
             return key, found
 
         return dict(on_all_cores(one, list(white)))
@@ -426,21 +438,16 @@ class TankProblem(AbstractProblem):
             entries = model_parameters(self.coarse_plans[0].extended.effects)
             needed = tangent_entries(entries, theta)
             other = np.setdiff1d(acting_entries(entries, theta), needed)
-            single = len(rows) == len(directions) and np.all(directions[rows, units] == 1.0)
+            single = len(rows) == len(np.unique(rows)) and np.all(directions[rows, units] == 1.0)
             if single and not np.isin(units, other).any():
-                return self._unit_tangents(theta, needed, units)
+                wanted = np.full(len(directions), -1)
+                wanted[rows] = units
+                return self._unit_tangents(theta, needed, wanted)
             return on_all_cores(lambda p: reading_tangents(p, theta, directions), self.coarse_plans)
 
-        def one(job):
-            plan, own, along = job
-            moved = np.flatnonzero(np.any(along != 0.0, axis=1))
-            found = np.zeros((len(along), len(plan.extended.channels), len(plan.at)))
-            if moved.size:
-                found[moved] = reading_tangents(plan, own, along[moved])
-            return found
-
         along = [directions @ m.matrix.T for m in self.maps]
-        return on_all_cores(one, list(zip(self.coarse_plans, self._own(theta), along, strict=True)))
+        jobs = list(zip(self.coarse_plans, self._own(theta), along, strict=True))
+        return on_all_cores(lambda job: reading_tangents(*job), jobs)
 
     def _unit_tangents(
         self, theta: np.ndarray, needed: np.ndarray, wanted: np.ndarray
@@ -448,23 +455,28 @@ class TankProblem(AbstractProblem):
         """Returns the derivatives by the entries `wanted` (indices), with single precision.
 
         A fit and the scoring after the fit need different entries at the same `theta`. The
-        derivatives by all entries `needed` are therefore computed. They are kept until all of them
-        are wanted. The derivatives by all other entries are zero.
+        derivatives by all entries `needed` are therefore computed. They are kept until the scoring
+        wants a row for each entry of `theta`. All other derivatives are zero, and so are those by
+        the entry -1.
         """
-        key = theta.tobytes()
+        key, count = theta.tobytes(), len(theta)
         if key not in self._last:
             self._last.clear()
-            unit = np.eye(len(theta))[needed]
+            unit = np.zeros((count, count))
+            unit[needed, needed] = 1.0
             self._last[key] = on_all_cores(
                 lambda p: reading_tangents(p, theta, unit, np.float32), self.coarse_plans
             )
-        if np.array_equal(wanted, needed):
-            return self._last.pop(key)
+        moving = np.flatnonzero(wanted >= 0)
+        if len(wanted) == count and np.array_equal(wanted[moving], moving):
+            whole = self._last.pop(key)
+            for x in whole:
+                x[np.setdiff1d(needed, moving)] = 0.0
+            return whole
 
         def rows(x: np.ndarray) -> np.ndarray:
             found = np.zeros((len(wanted), *x.shape[1:]), np.float32)
-            there = np.isin(wanted, needed)
-            found[there] = x[np.searchsorted(needed, wanted[there])]
+            found[moving] = x[wanted[moving]]
             return found
 
         return [rows(x) for x in self._last[key]]

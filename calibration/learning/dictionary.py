@@ -148,7 +148,8 @@ class Dictionary:
         settings = self.outcome.search.settings
         refits = Refits(problem, self.entries, white, progress, settings)
         tangents = effect_tangents(problem, self.entries, theta, free, settings)
-        return place_gains(refits, start, self.places, problem.whitened(tangents, white))
+        J = problem.whitened(tangents, white, in_place=True)
+        return place_gains(refits, start, self.places, J)
 
 
 def _with_only(outcome: LoopOutcome, effects: Sequence[str], progress: Progress) -> Fit:

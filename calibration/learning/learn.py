@@ -409,7 +409,7 @@ def _with_details(
     white = problem.whiteners(fit.predicted)
     refits = Refits(problem, details.entries, white, progress, settings)
     tangents = effect_tangents(problem, details.entries, theta, free, settings)
-    J = problem.whitened(tangents, white)
+    J = problem.whitened(tangents, white, in_place=True)
     found = pursue(refits, start, "details", groups, J, len(groups))
     own = {name: groups[name] for name in found.groups}
     if not own:

@@ -24,8 +24,8 @@ LONG, FULL_SHARE = 20_000, 0.6
 """A batch with an item of at least the length `LONG` is computed one item at a time if its items
 fill less than the fraction `FULL_SHARE` of it. A batch of four halves the time per item, but one
 more compiled program is only worth its time for long items."""
-MOST_VALUES = 2**24
-"""Largest number of values that one operation on several series copies (128 MiB)."""
+MOST_VALUES = 2**22
+"""Largest number of values that one operation on several series copies (32 MiB)."""
 
 
 def limit_memory_maps() -> None:
@@ -95,24 +95,19 @@ def slices(count: int, values: int, multiple: int = 1) -> list[slice]:
 
 
 def by_directions(
-    function, directions: np.ndarray, rows: int | None = None, dtype: type = float
-) -> np.ndarray:
-    """Returns `function(directions)` for `directions` (k, n), in calls of equal numbers of rows.
+    function: Callable[[np.ndarray], Any], directions: np.ndarray, rows: int | None = None
+) -> Iterator[tuple[slice, np.ndarray]]:
+    """Yields slices of the `directions` (k, n), and `function` of them, computed in several calls.
 
     Each call has the number `rows` of directions (default: `rows_per_call`, a multiple of
-    `DIRECTIONS`, so that few programs are compiled). The last row is repeated to fill a call. The
-    result has the type `dtype`.
+    `DIRECTIONS`, so that few programs are compiled). The last row is repeated to fill a call.
     """
-    rows = rows_per_call(len(directions)) if rows is None else rows
-    missing = -len(directions) % rows
-    padded = np.pad(directions, ((0, missing), (0, 0)), mode="edge")
-    found: np.ndarray = np.zeros(0, dtype)
-    for first in range(0, len(padded), rows):
-        block = np.asarray(function(padded[first : first + rows]))
-        if not first:
-            found = np.zeros((len(directions), *block.shape[1:]), dtype)
-        found[first : first + rows] = block[: len(directions) - first]
-    return found
+    k = len(directions)
+    rows = rows_per_call(max(k, 1)) if rows is None else rows
+    padded = np.pad(directions, ((0, -k % rows), (0, 0)), mode="edge")
+    for first in range(0, k, rows):
+        here = slice(first, min(first + rows, k))
+        yield here, np.asarray(function(padded[first : first + rows]))[: here.stop - first]
 
 
 def stacked(trees: Sequence[Any]) -> Any:

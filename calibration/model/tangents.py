@@ -3,6 +3,8 @@
 As in `predict`, the pressures, the robot and the sensors have separate programs.
 """
 
+from collections.abc import Callable
+
 import jax
 import numpy as np
 
@@ -85,7 +87,7 @@ def reading_tangents(
     """Returns tangents (k, channels, samples) of the readings along `directions` (k, entries).
 
     The tangents of all channels, also of the pressures, are interpolated between time steps. The
-    result has the type `dtype`.
+    result has the type `dtype`. Directions of zeros need no time, and almost no memory.
     """
     pressures = _moves(p.extended, Part.PRESSURES, directions)
     moves = pressures | _moves(p.extended, Part.BODY, directions)
@@ -109,13 +111,30 @@ def reading_tangents(
     kinds = [x for x in kinds if x.any()]
     rows = max((rows_per_call(int(x.sum())) for x in kinds), default=0)
     for kind in kinds:
-        found[kind] = by_directions(along, directions[kind], rows, dtype)
-    if not moves.all():
+        _set_along(found, along, directions, np.flatnonzero(kind), rows)
+    sensors = np.flatnonzero(~moves & directions.any(axis=1))
+    if sensors.size:
         if not ideal:
             history = pressure_histories([(p, theta)])
             ideal[:] = [body_readings([(p, theta)], history)[0].series]
-        found[~moves] = by_directions(along_sensors, directions[~moves], dtype=dtype)
+        _set_along(found, along_sensors, directions, sensors)
     return found
+
+
+def _set_along(
+    found: np.ndarray,
+    function: Callable[[np.ndarray], np.ndarray],
+    directions: np.ndarray,
+    chosen: np.ndarray,
+    rows: int | None = None,
+) -> None:
+    """Sets the `chosen` rows of `found` to `function` of the `directions`.
+
+    Series of zeros are not written: the memory of an array of zeros is empty until it is written.
+    """
+    for here, tangents in by_directions(function, directions[chosen], rows):
+        row, channel = np.nonzero(tangents.any(axis=2))
+        found[chosen[here][row], channel] = tangents[row, channel]
 
 
 def compile_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> None:

@@ -165,7 +165,12 @@ class PressureLogProblem(AbstractProblem):
         along = np.any(np.asarray(directions) != 0.0, axis=0)
         extended = self._moved(theta[None], along)
         at, short = (self._entries(x, extended) for x in (theta, np.asarray(directions)))
-        return self._each(lambda drive, rows: _along(extended, at, drive, rows), short)
+        moving = np.flatnonzero(np.any(directions != 0.0, axis=1))
+        some = self._each(lambda drive, rows: _along(extended, at, drive, rows), short[moving])
+        found = [np.zeros((len(directions), *x.shape[1:])) for x in some]
+        for x, rows in zip(found, some, strict=True):
+            x[moving] = rows
+        return found
 
     def _each(
         self, run: Callable[[LogDrive, np.ndarray], Array], rows: np.ndarray
@@ -175,11 +180,11 @@ class PressureLogProblem(AbstractProblem):
 
         def one(job: tuple[list[int], LogDrive]) -> None:
             group, drive = job
-            series = by_directions(lambda block: run(drive, block), rows)
-            for place, i in enumerate(group):
-                for half in (2 * i, 2 * i + 1):
-                    at = np.round(self.records[half].t / self.logs[i].period).astype(int)
-                    found[half][:, self.all_channels.row(CHANNEL)] = series[:, place, at]
+            for here, series in by_directions(lambda block: run(drive, block), rows):
+                for place, i in enumerate(group):
+                    for half in (2 * i, 2 * i + 1):
+                        at = np.round(self.records[half].t / self.logs[i].period).astype(int)
+                        found[half][here, self.all_channels.row(CHANNEL)] = series[:, place, at]
 
         on_all_cores(one, self.drives)
         return found

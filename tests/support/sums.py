@@ -61,5 +61,9 @@ class Sums:
     def secants(self, theta, others):
         return [y[1:] - y[:1] for y in self.coarse([theta, *others])]
 
-    def whitened(self, changes, white):
-        return {(i, "tip"): x[:, 4] for i, x in enumerate(changes)}
+    def whitened(self, changes, white, in_place=False):
+        found = {(i, "tip"): x[:, 4].copy() for i, x in enumerate(changes)}
+        if in_place:  # the content is lost
+            for x in changes:
+                x[...] = np.nan
+        return found

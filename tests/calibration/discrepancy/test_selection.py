@@ -33,6 +33,19 @@ def test_the_selection_finds_exactly_the_true_effects(truth, effects):
     np.testing.assert_allclose(found.final.theta, truth, atol=0.02)
 
 
+def test_tangents_that_are_too_large_to_keep_change_no_result(monkeypatch):
+    """They are whitened in place, and the predicted changes need other derivatives."""
+    truth = (1.0, 0.5, 0.0, 0.3, 0.0)
+    kept = select(truth)
+    monkeypatch.setattr("calibration.discrepancy.refits.MOST_KEPT", 0)
+    large = select(truth)
+    assert large.effects == kept.effects == ["regulator_gain", "tank_current"]
+    assert [[t.name for t in r.refitted] for r in large.rounds] == [
+        [t.name for t in r.refitted] for r in kept.rounds
+    ]
+    np.testing.assert_allclose(large.final.theta, kept.final.theta, rtol=1e-4, atol=1e-4)
+
+
 def test_a_wrong_effect_that_was_chosen_first_is_removed():
     truth = (1.0, 0.0, 0.0, 0.4, 1.0)
     found = select(truth)

@@ -6,7 +6,6 @@ from calibration.discrepancy.refits import (
     Refits,
     ScoringTangents,
     effect_tangents,
-    kept_tangents,
     renewed_tangents,
 )
 from calibration.inference.gauss_newton import Fit
@@ -32,24 +31,6 @@ class Squares(Sums):
         return list(found)
 
 
-class Caching(Sums):
-    """Returns the same list of tangents in every call, like a cache in memory."""
-
-    stored = None
-
-    def tangents(self, theta, directions):
-        if self.stored is None:
-            self.stored = super().tangents(theta, directions)
-        return self.stored
-
-
-def test_cached_tangents_are_not_changed():
-    problem = Caching(np.ones(5))
-    first, again = (effect_tangents(problem, ENTRIES, np.zeros(5), np.array([0])) for _ in range(2))
-    np.testing.assert_array_equal(first, again)
-    np.testing.assert_allclose(first[0][:, 4], problem.size * problem.shapes[:, 0], rtol=1e-6)
-
-
 def test_large_tangents_are_computed_again_for_other_whiteners(monkeypatch):
     """The result is the same as with kept tangents."""
     problem, theta = Sums(np.ones(5)), np.zeros(5)
@@ -57,9 +38,9 @@ def test_large_tangents_are_computed_again_for_other_whiteners(monkeypatch):
     raw = effect_tangents(problem, ENTRIES, theta, current.free)
     white = problem.whiteners(current.predicted)
     refits = Refits(problem, ENTRIES, white, print)
-    kept = ScoringTangents(current, kept_tangents(raw), {}).whitened_again(refits)
+    kept = ScoringTangents.of(refits, current, raw)
     monkeypatch.setattr("calibration.discrepancy.refits.MOST_KEPT", 0)
-    again = ScoringTangents(current, kept_tangents(raw), {}).whitened_again(refits)
+    again = ScoringTangents.of(refits, current)
     assert kept.raw is raw and again.raw is None and again.white.keys() == kept.white.keys() != {}
     for key, x in kept.white.items():
         assert x.any()

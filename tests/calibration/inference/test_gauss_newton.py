@@ -45,7 +45,7 @@ class Curve:
     def residuals(self, predicted, white):
         return {(0, "y"): self.y - predicted[0]}
 
-    def whitened(self, changes, white):
+    def whitened(self, changes, white, in_place=False):
         return {(0, "y"): changes[0]}
 
 

@@ -45,7 +45,7 @@ def test_no_tangent_is_computed_for_the_shape_of_an_effect_at_its_null(monkeypat
     computed = []
 
     def tangents(plan, theta, directions, dtype=float):
-        computed.append(len(directions))
+        computed.append(int(directions.any(axis=1).sum()))
         return tank.tangents(plan, theta, directions, dtype)
 
     monkeypatch.setattr(problem, "reading_tangents", tangents)
@@ -78,6 +78,65 @@ def test_tangents_of_an_effect_scored_by_secants_are_computed_if_they_are_asked_
     theta[4] = 1e4
     found.tangents(theta, np.eye(5)[[4]])
     assert computed == [[0, 1, 2, 3], [4], [0, 1, 2, 3, 4]] and asked.any()
+
+
+def test_a_row_for_each_entry_takes_the_kept_tangents(monkeypatch):
+    """The scoring wants such rows; a row of zeros in the directions is a row of zeros."""
+    tank.replace_the_beam(monkeypatch)
+    experiment, theta = tank.experiment_of((2.0,)), np.array([3.0, 0.7, 0.08, 4.5e-7, 0.0])
+    records = tank.measured(experiment, [theta], 0)
+    found = tank.problem_of(experiment, records, ("regulator_gain",))
+    (whole,) = tank.problem_of(experiment, records, ("regulator_gain",)).tangents(theta, np.eye(5))
+    (some,) = found.tangents(theta, np.eye(5)[[3, 1]])
+    assert whole.shape == (5, *records[0].values.shape) and whole.any(axis=(1, 2)).all()
+    np.testing.assert_array_equal(some, whole[[3, 1]])
+    (kept,) = found._last.values()
+    (without,) = found.tangents(theta, np.diag([1.0, 1.0, 0.0, 1.0, 1.0]))
+    assert without is kept[0] and not without[2].any() and not found._last
+    np.testing.assert_array_equal(np.delete(without, 2, 0), np.delete(whole, 2, 0))
+
+
+def test_rows_of_zeros_are_neither_whitened_nor_multiplied(monkeypatch):
+    tank.replace_the_beam(monkeypatch)
+    experiment, theta = tank.experiment_of((2.0,)), np.array([3.0, 0.7, 0.08, 4.5e-7])
+    records = tank.measured(experiment, [theta], 0)
+    found = tank.problem_of(experiment, records)
+    predicted, changes = found.predict(theta), found.tangents(theta, np.eye(4)[[3, 0, 1]])
+    white = found.whiteners(predicted)
+    expected = {key: x(changes[0][:, records[0].row(key[1])]) for key, x in white.items()}
+    whole = found.whitened(changes, white)
+    rows = {key: [] for key in white}
+
+    def counting(key):
+        return lambda series: rows[key].append(len(series)) or white[key](series)
+
+    found.whitened(changes, {key: counting(key) for key in white})
+    assert rows[0, "p_front"] == [] and rows[0, "thrust"] == [3]
+    residuals = found.residuals([1.1 * x for x in predicted], white)
+    for block in normal_equations(residuals, whole):
+        key = block.trial, block.channel
+        np.testing.assert_allclose(whole[key], expected[key], rtol=1e-6, atol=1e-6)
+        x = whole[key].astype(float)
+        np.testing.assert_allclose(block.A, x @ x.T, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(block.b, x @ residuals[key], rtol=1e-12, atol=1e-9)
+
+
+def test_tangents_are_whitened_in_their_own_memory(monkeypatch):
+    """Also with channels that do not measure at all times."""
+    tank.replace_the_beam(monkeypatch)
+    experiment, theta = tank.experiment_of((2.0, 1.5)), np.array([3.0, 0.7, 0.08, 4.5e-7])
+    records = tank.measured(experiment, [theta] * 2, 0)
+    records[1].values[records[1].row("tip"), ::3] = np.nan
+    found = tank.problem_of(experiment, records)
+    white = found.whiteners(found.predict(theta))
+    changes = found.tangents(theta, np.eye(4))
+    expected = found.whitened(changes, white)
+    in_place = found.whitened(changes, white, in_place=True)
+    assert expected.keys() == in_place.keys() and expected[1, "tip"].any()
+    for key, x in in_place.items():
+        np.testing.assert_array_equal(x, expected[key])
+        assert np.shares_memory(x, changes[key[0]])
+        assert not np.shares_memory(expected[key], changes[key[0]])
 
 
 def test_normal_equations_of_single_precision_derivatives_have_double_precision(monkeypatch):
