@@ -2,13 +2,19 @@
 
 The alternatives of a chosen effect are candidates of the same round with nearly the same gain or
 with parallel tangents. During this round, another effect that is still missing can hide differences
-between these candidates. The alternatives are therefore compared again after the selection. Each
-alternative is substituted for the chosen effect, and all parameters are refitted. An alternative
-replaces the chosen effect if its fit is better by at least the naming threshold, and if
-cross-validation with the other effects in the model confirms it. An alternative is excluded if its
-fit is worse by at least the naming threshold. All other alternatives form the equivalence class.
-While a residual exceeds the noise floor, an effect may still be missing. An alternative is then
-excluded only if the model already contains it, and needs the chosen effect too.
+between these candidates. The alternatives are therefore compared again after the selection. The
+missing effect can also hide the true effect from the list of the round. All candidates are
+therefore scored again in place of each chosen effect, with the other chosen effects in the model,
+and the best candidates join the alternatives. Each alternative is substituted for the chosen
+effect, and all parameters are refitted. An alternative replaces the chosen effect if its fit is
+better by at least the naming threshold, and if cross-validation with the other effects in the model
+confirms it. An alternative is excluded if its fit is worse by at least the naming threshold. All
+other alternatives form the equivalence class. While a residual exceeds the noise floor, an effect
+may still be missing. An alternative is then excluded only if the model already contains it, and
+needs the chosen effect too.
+
+Source of the second comparison: sequential replacement, Miller, A. J. (1984), Selection of subsets
+of regression variables, J. R. Stat. Soc. A 147, 389-425.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,13 +35,15 @@ from calibration.discrepancy.rounds import (
     Selection,
     SelectionStep,
     agreement,
+    can_join,
     effect_entries,
+    scoring_entries,
 )
 from calibration.discrepancy.scores import blocks_at_null, score, tangent_cosine
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import tested_excess
-from calibration.inference.problem import ChannelBlock, summed
+from calibration.inference.problem import FAILED, ChannelBlock, normal_equations, summed, total
 from slider_jax.effects.library import LIBRARY
 
 
@@ -66,6 +74,43 @@ def equivalent_effects(
     return same + parallel
 
 
+def exchanges(refits: Refits, found: Selection, J: Tangents) -> dict[str, dict[str, np.ndarray]]:
+    """Returns for each chosen effect the candidates that may replace it, and their steps.
+
+    The candidates are scored by the residual without the chosen effect, but with all others. `J`
+    are the whitened tangents of all candidates. The result is empty for fewer than two effects,
+    because the rounds then made the same comparison.
+    """
+    if len(found.effects) < 2:
+        return {}
+    problem, settings, final = refits.problem, refits.settings, found.final
+    groups, scored = effect_entries(refits.entries), scoring_entries(refits.entries)
+    nulls = [refits.null(final.theta, groups[name]) for name in found.effects]
+    coarse = problem.coarse([final.theta, *nulls])
+    blocks = normal_equations(problem.residuals(final.predicted, refits.white), J)
+    proposed: dict[str, dict[str, np.ndarray]] = {}
+    for k, name in enumerate(found.effects, 1):
+        predicted = [y + x[k] - x[0] for y, x in zip(final.predicted, coarse, strict=True)]
+        left = problem.residuals(predicted, refits.white)
+        if total(left) >= FAILED:
+            continue
+        without = [
+            x._replace(b=J[x.trial, x.channel] @ r, c=float(r @ r))
+            for x, r in zip(blocks, left.values(), strict=True)
+        ]
+        others = [n for n in found.effects if n != name]
+        rest = final.free[~np.isin(final.free, groups[name])]
+        possible = [n for n in groups if can_join(n, others)]
+        scores = [
+            score(n, scored[n], rest, without, final.inflation, len(possible), settings)
+            for n in possible
+        ]
+        best = sorted(scores, key=lambda s: -s.gain)[: settings.short_list]
+        least = settings.contender_gain_share * best[0].gain
+        proposed[name] = {s.name: s.step for s in best if s.gain > least and s.name != name}
+    return proposed
+
+
 def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = None) -> None:
     """Substitutes each alternative for its round's chosen effect and updates the equivalence class.
 
@@ -77,20 +122,22 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
     settings = refits.settings
     for round_ in found.rounds:
         round_.alternatives = {}
-    problem, entries, final = refits.problem, refits.entries, found.final
-    pairs = [
-        (round_, name, start)
-        for round_ in found.rounds
-        for name in _contenders(round_, settings)
-        if (start := _substitution(refits, found, round_, name)) is not None
-    ]
-    if pairs:
+    problem, final = refits.problem, found.final
+    contenders = [(round_, _contenders(round_, settings)) for round_ in found.rounds]
+    pairs = []
+    if len(found.effects) > 1 or any(near for _, near in contenders):
+        J = _tangents_without_each(refits, found, J)
+        proposed = exchanges(refits, found, J)
+        for round_, near in contenders:
+            steps = proposed.get(round_.chosen or "", {})
+            round_.exchanged = list(steps)
+            for name in dict.fromkeys([*near, *steps]):
+                start = _substitution(refits, found, round_, name, steps.get(name))
+                if start is not None:
+                    pairs.append((round_, name, start))
+    if J is not None and pairs:
         swaps = ", ".join(f"{name} instead of {round_.chosen}" for round_, name, _ in pairs)
         refits.progress(f"refitting with {swaps}")
-        kept = np.intersect1d(np.concatenate([start.free for *_, start in pairs]), final.free)
-        if J is None or not np.all([any(x[i].any() for x in J.values()) for i in kept]):
-            tangents = effect_tangents(problem, entries, final.theta, final.free, settings)
-            J = problem.whitened(tangents, refits.white, in_place=True)
         fits = refits.raced(final, [start for *_, start in pairs], J, judge=True)
         for (round_, name, _), fit in zip(pairs, fits, strict=True):
             if fit.converged:
@@ -117,16 +164,32 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
         round_.equivalent = [n for n in names if n not in excluded]
 
 
+def _tangents_without_each(refits: Refits, found: Selection, J: Tangents | None) -> Tangents:
+    """Returns `J` if it contains the parameters that remain without any one of the chosen effects.
+
+    Otherwise, the result are new tangents at the final fit.
+    """
+    groups, final = effect_entries(refits.entries), found.final
+    kept = {i for name in found.effects for i in final.free if i not in groups[name]}
+    if J is not None and all(any(x[i].any() for x in J.values()) for i in kept):
+        return J
+    problem = refits.problem
+    tangents = effect_tangents(problem, refits.entries, final.theta, final.free, refits.settings)
+    return problem.whitened(tangents, refits.white, in_place=True)
+
+
 def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
     """Returns a round and an alternative that fits better than the round's chosen effect, or None.
 
-    The round must have refitted the alternative. If there are several, the result is the best.
+    The round must have refitted the alternative, or an exchange must have found it. If there are
+    several, the result is the best.
     """
     fits = {
         (number, name): x.fit.square
         for number, round_ in enumerate(found.rounds)
         for name, x in round_.alternatives.items()
-        if x.is_better(found.settings) and name in {t.name for t in round_.refitted}
+        if x.is_better(found.settings)
+        and name in {*(t.name for t in round_.refitted), *round_.exchanged}
     }
     if not fits:
         return None
@@ -157,12 +220,16 @@ def _contenders(round_: SelectionStep, settings: SelectionSettings) -> list[str]
 
 
 def _substitution(
-    refits: Refits, found: Selection, round_: SelectionStep, alternative: str
+    refits: Refits,
+    found: Selection,
+    round_: SelectionStep,
+    alternative: str,
+    step: np.ndarray | None = None,
 ) -> FitStart | None:
     """Returns the start of a fit with an alternative substituted for a round's chosen effect.
 
     The final fit may already contain the alternative. Returns None if another effect in the fit
-    replaces the same law of the base model.
+    replaces the same law of the base model. `step` is that of an exchange, if there is one.
     """
     assert round_.chosen is not None
     others = [n for n in found.effects if n not in (round_.chosen, alternative)]
@@ -177,10 +244,11 @@ def _substitution(
     rounds = [round_, *found.rounds]
     fits = [t.fit for r in rounds for t in r.refitted if t.name == alternative]
     start = theta.copy()
-    if fits:
+    if fits and step is None:
         start[group] = fits[0].theta[group]
     else:
-        step = next(s.step for r in rounds for s in r.scores if s.name == alternative)
+        if step is None:
+            step = next(s.step for r in rounds for s in r.scores if s.name == alternative)
         own = np.isin(np.arange(len(theta)), group)
         start = initial_theta(refits, theta, group, np.where(own, step, 0.0))
     return FitStart(start, np.concatenate([rest, group]), theta)

@@ -252,6 +252,12 @@ class Estimate:
         refits, best = self.refits, self.best
         residuals = refits.problem.residuals(predicted, refits.white)
         square, samples = total(residuals), sum(len(r) for r in residuals.values())
+        far = not self.judge and best.square == FAILED and square > self.current.square
+        if far and self.halved < refits.settings.max_halvings - 1:
+            # The start is worse than the current fit, which does not contain the effect.
+            self.halved += 1
+            self.proposed = 0.5 * (self.proposed + self.start.null)
+            return
         if not square < best.square:
             self.halved += 1
             self.done = self.halved >= refits.settings.max_halvings

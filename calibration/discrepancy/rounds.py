@@ -14,6 +14,7 @@ from calibration.inference.measured_discrepancy import Discrepancy
 from calibration.inference.problem import AbstractProblem
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
+from slider_jax.effects.library import LIBRARY
 
 
 class Agreement(NamedTuple):
@@ -138,6 +139,8 @@ class SelectionStep:
     """Effect that this round chose and a later round removed because it was unnecessary."""
     replaced: str | None = None
     """Effect that this round chose first and that an alternative replaced."""
+    exchanged: list[str] = field(default_factory=list)
+    """Alternatives that were found after the selection, beside all other chosen effects."""
 
 
 @dataclass
@@ -160,6 +163,12 @@ class Selection:
     only one mesh."""
     discrepancies: dict[str, float] = field(default_factory=dict)
     """Model-discretisation discrepancy of each channel in the noise of the final fit."""
+
+
+def can_join(name: str, effects: Sequence[str]) -> bool:
+    """Returns whether a model with `effects` can also contain the effect `name`."""
+    taken = {LIBRARY[n].replaces_law for n in effects} - {""}
+    return name not in effects and LIBRARY[name].replaces_law not in taken
 
 
 def effect_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:

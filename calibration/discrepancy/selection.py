@@ -45,6 +45,7 @@ from calibration.discrepancy.rounds import (
     Selection,
     SelectionStep,
     agreement,
+    can_join,
     effect_entries,
     relative_changes,
     scoring_entries,
@@ -55,7 +56,6 @@ from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.measured_discrepancy import DiscrepancyMeter, fell
 from calibration.inference.problem import FAILED, AbstractProblem, ChannelBlock, normal_equations
 from calibration.model.extended import BASE, Parameter
-from slider_jax.effects.library import LIBRARY
 
 
 def select_effects(
@@ -148,7 +148,7 @@ def _add(refits: Refits, found: Selection) -> tuple[Refits, Tangents | None]:
     settings = refits.settings
     tangents: ScoringTangents | None = None
     while len(found.effects) < settings.max_effects and len(found.rounds) < settings.max_rounds:
-        rest = [n for n in effect_entries(refits.entries) if _can_join(n, found.effects)]
+        rest = [n for n in effect_entries(refits.entries) if can_join(n, found.effects)]
         if not rest:
             break
         refits.progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
@@ -197,11 +197,6 @@ def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> 
         known = (by.chosen, *by.equivalent)
         by.equivalent += [n for n in round_.equivalent if n not in known]
         round_.chosen, round_.equivalent, round_.taken_out = None, [], name
-
-
-def _can_join(name: str, effects: list[str]) -> bool:
-    taken = {LIBRARY[n].replaces_law for n in effects} - {""}
-    return name not in effects and LIBRARY[name].replaces_law not in taken
 
 
 def _scores(

@@ -127,3 +127,25 @@ def test_a_trial_with_a_missing_effect_contradicts_the_right_alternative_only_at
     assert not right.agreement.agreed() and first.replaced == "pulsed_valves"
     assert found.effects == ["firmware_valves", "tank_current"]
     np.testing.assert_allclose(found.final.theta, (1.0, 0.5, 0.0, 0.5), atol=0.05)
+
+
+def test_an_effect_that_another_missing_effect_hides_joins_the_class_by_an_exchange():
+    """Alone, two of the effects explain little, so no round refits them instead of the first."""
+    shapes = np.stack([BASE, ONE - 0.2 * OTHER, ONE - 2.0 * OTHER, OTHER])
+    names = ("carried_mass", "tank_current", "force_gain")
+    prior = Prior(0.0, -50.0, 50.0, "-", "")
+    entries = [ENTRIES[0], *(Parameter(name, "x", prior) for name in names)]
+    truth = (1.0, 1.0, 0.0, 0.2)  # the sum of the effects is ONE
+    found = select_effects(Sums(truth, shapes), entries, np.zeros(4), base_names=("k",))
+    first, second = found.rounds[:2]
+    assert first.chosen == "carried_mass" and found.effects == [first.chosen, second.chosen]
+    (other,) = set(names) - set(found.effects)
+    assert not {other, second.chosen} & {t.name for t in first.refitted}
+    assert other in first.exchanged and other in first.equivalent
+    swapped = first.alternatives[other]
+    assert abs(swapped.loss) < DEFAULT_SETTINGS.min_gain and swapped.fit.theta[1] == 0.0
+
+
+def test_a_single_effect_has_no_exchange():
+    found = select((1.0, 0.5, 0.0, 0.0), ONE + 0.004 * OTHER)
+    assert len(found.effects) == 1 and not found.rounds[0].exchanged

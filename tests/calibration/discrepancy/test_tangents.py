@@ -3,6 +3,7 @@
 import numpy as np
 
 from calibration.discrepancy.refits import (
+    FitStart,
     Refits,
     ScoringTangents,
     effect_tangents,
@@ -64,3 +65,27 @@ def test_only_tangents_of_near_effects_and_fitted_parameters_are_renewed():
         np.testing.assert_allclose(x[[0, 2, 4]], new[[0, 2, 4]], rtol=1e-6, atol=error)
         np.testing.assert_array_equal(x[[1, 3]], old[[1, 3]])
         assert not np.allclose(new[[0, 1]], old[[0, 1]])
+
+
+class Tones(Sums):
+    """Readings depend on the last parameter like a sine, so a large step overshoots."""
+
+    def _sum(self, theta):
+        wave = np.sin(2.0 * theta[4]) * self.shapes[4]
+        return self.size * (np.tensordot(theta[:4], self.shapes[:4], 1) + wave)
+
+
+def test_a_refit_whose_start_is_worse_than_the_current_fit_starts_nearer():
+    """Without shorter starts, the refit ends in a minimum above the current fit."""
+    problem, theta = Tones([0.0, 0.0, 0.0, 0.0, 0.2]), np.zeros(5)
+    predicted = problem.predict(theta)
+    square = sum(float(r @ r) for r in problem.residuals(predicted, {}).values())
+    current = Fit(theta, np.array([0]), square, 1200, [], predicted, True)
+    refits = Refits(problem, ENTRIES, {}, print)
+    J = {
+        key: x.copy() for key, x in problem.whitened(problem.tangents(theta, np.eye(5)), {}).items()
+    }
+    far = np.array([0.0, 0.0, 0.0, 0.0, 2.0])
+    (fit,) = refits.estimated(current, [FitStart(far, np.array([0, 4]), theta)], J)
+    assert fit.square < 1300.0 < square
+    np.testing.assert_allclose(fit.theta[4], 0.2, atol=0.01)
