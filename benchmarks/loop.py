@@ -1,6 +1,6 @@
 """Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
-    python benchmarks/loop.py null noise situation single single8 double --out DIR
+    python benchmarks/loop.py null noise situation single single8 double double8 --out DIR
     python benchmarks/loop.py outside fresh blind unseen novel further --out DIR
     python benchmarks/loop.py common everyday workshop --out DIR
     python benchmarks/loop.py table --out DIR
@@ -37,6 +37,7 @@ from tanks import (
 from calibration.discrepancy import report
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.verdict import CLASS, IDENTIFIED, LEARNED, PARTLY
+from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.goodness import noise_floors, rms_errors
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.learning.learn import Learning, learn_terms
@@ -105,8 +106,9 @@ IN_SITUATIONS = ("valve_delay", "body_stiffness", "clamp_compliance")
 """Effects that are tested in each situation of a laboratory, at ten times the detection limit."""
 SITUATION_TANKS, FIRST_SITUATION = 6, 7000
 """Number of tanks without a missing effect in each situation, and seed of the first."""
-KINDS = ("null", "noise", "situation", "single", "single8", "double", *LACKING, "table")
-"""`single8` are single effects in tanks with eight trials, in which functions may replace them."""
+LONGER = {"single8": "single", "double8": "double"}
+"""Kinds with eight trials, in which functions may replace effects, and the same kinds with six."""
+KINDS = ("null", "noise", "situation", "single", "double", *LONGER, *LACKING, "table")
 
 
 class Case(NamedTuple):
@@ -150,7 +152,7 @@ class MemoryCache:
 
 def trials_of(kind: str) -> int:
     """Returns the number of trials of the tanks of a kind."""
-    return TRIALS_OUTSIDE if kind in LACKING or kind == "single8" else TRIALS
+    return TRIALS_OUTSIDE if kind in LACKING or kind in LONGER else TRIALS
 
 
 def limits_of(kind: str, seed: int, out: Path) -> dict[str, float]:
@@ -229,7 +231,7 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
                 if sized:
                     name = f"{noise}_{effect}"
                     yield Case(kind, name, i, {effect: sized}, SIZES[0], noise)
-    if kind in ("single", "single8"):
+    if LONGER.get(kind, kind) == "single":
         for times in SIZES if kind == "single" else SIZES[:2]:
             for i, (effect, parameter) in enumerate(SINGLES.items()):
                 limit = limits_of(kind, i % TANKS, out)[f"{effect}.{parameter}"]
@@ -238,7 +240,7 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
                     compared = kind == "single" and times == 3 and i < COMPARED
                     name = f"{effect}_{times}"
                     yield Case(kind, name, i % TANKS, {effect: sized}, times, compared=compared)
-    if kind == "double":
+    if LONGER.get(kind, kind) == "double":
         for i, pair in enumerate(PAIRS):
             seed, both = i % TANKS, {}
             for k, effect in enumerate(pair):
@@ -249,7 +251,8 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
                     _beyond(effect, p, seed) if far else _sized(effect, p, distance, seed)
                 )
             if all(both.values()):
-                yield Case(kind, "+".join(pair), seed, both, PAIR_SIZE, compared=i < COMPARED)
+                compared = kind == "double" and i < COMPARED
+                yield Case(kind, "+".join(pair), seed, both, PAIR_SIZE, compared=compared)
     if kind in LACKING:
         for times in SIZES[:2]:
             for i, name in enumerate(LACKING[kind]):
@@ -277,7 +280,7 @@ def run_case(
     tank, memo = tank_of(case), MemoryCache()
     start = time.perf_counter()
     # With the same names in all cases of a kind, the cases share compiled programs.
-    simulated = {kind: [*SINGLES] for kind in ("single", "single8", "double", "situation")}
+    simulated = {kind: [*SINGLES] for kind in ("single", "double", "situation", *LONGER)}
     simulated |= {kind: [*effects] for kind, effects in LACKING.items()}
     true = true_readings(tank, case.effects, simulated.get(case.kind, ()))
     if not all(np.isfinite(y).all() for y in true):
@@ -293,6 +296,10 @@ def run_case(
     if learning is not None:
         files = [r.trial.file for r in found]
         record["learned"] = learned_record(learning, dict(zip(files, true, strict=True)))
+        if record["learned"]["terms"]:
+            complete = distance_of_complete_model(case, tank, outcome, simulated.get(case.kind, ()))
+            for channel, x in record["learned"]["distance"].items():
+                x["complete"] = complete[channel]
         if record["learned"]["terms"]:
             record["verdict"] = LEARNED if record["learned"]["reaches_floor"] else PARTLY
     if not outcome.held:
@@ -368,18 +375,11 @@ def learned_record(learning: Learning, true: Mapping[str, np.ndarray]) -> dict[s
     if model is None:
         return {"reason": learning.reason, "terms": [], "reaches_floor": False}
     rest = model.dictionary.problem.part(model.tested)
-    noiseless = [
-        replace(r, values=np.where(np.isfinite(r.values), true[r.trial.file], np.nan))
-        for r in rest.records
-    ]
     alone = part_of(learning.outcome.problem, model.tested)
-    predictions = {
-        "refit": alone.predict(learning.outcome.search.base.theta),
-        "before": rest.predict(model.dictionary.start.theta),
-        "after": rest.predict(model.fit.theta),
-    }
     distances = {
-        name: rms_errors(replace(rest, records=noiseless), y) for name, y in predictions.items()
+        "refit": distances_from(alone, true, learning.outcome.search.base.theta),
+        "before": distances_from(rest, true, model.dictionary.start.theta),
+        "after": distances_from(rest, true, model.fit.theta),
     }
     return {
         "reason": "",
@@ -391,6 +391,43 @@ def learned_record(learning: Learning, true: Mapping[str, np.ndarray]) -> dict[s
         "errors": model.errors,
         "distance": {c: {name: x[c] for name, x in distances.items()} for c in distances["after"]},
     }
+
+
+def distance_of_complete_model(
+    case: Case, tank: Tank, outcome: LoopOutcome, simulated: Sequence[str]
+) -> dict[str, float]:
+    """Returns each channel's rms difference between a calibrated complete model and the truth.
+
+    The tank and the noise are those of the case, but the tank has no missing effect. A part of the
+    distance of a learned function is unavoidable: the calibration has an error, and the meshes of
+    tank and fit differ.
+    """
+    true = true_readings(tank, {}, simulated)
+    found = noisy_records(tank, true, _seeded(case.seed, case.kind, case.name), case.noise)
+    readings = {r.trial.file: y for r, y in zip(found, true, strict=True)}
+    problem = outcome.problem
+    assert isinstance(problem, TankProblem)
+    by_file = {r.trial.file: r for r in found}
+    problem = replace(problem, records=[by_file[r.trial.file] for r in problem.records], memo=None)
+    base = outcome.search.base
+    fit = fit_gauss_newton(
+        problem.part(outcome.used_trials), outcome.entries, base.theta, base.free
+    )
+    return distances_from(problem.part(outcome.held or outcome.used_trials), readings, fit.theta)
+
+
+def distances_from(
+    problem: TankProblem, true: Mapping[str, np.ndarray], theta: np.ndarray
+) -> dict[str, float]:
+    """Returns each channel's rms difference between predicted and true readings.
+
+    `true` are the readings without noise (channels, samples) of each trial's file.
+    """
+    noiseless = [
+        replace(r, values=np.where(np.isfinite(r.values), true[r.trial.file], np.nan))
+        for r in problem.records
+    ]
+    return rms_errors(replace(problem, records=noiseless), problem.predict(theta))
 
 
 def _cover(outcome: LoopOutcome, effects: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:

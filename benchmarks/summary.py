@@ -133,23 +133,30 @@ def rated_location(case: dict[str, Any]) -> str:
     return "right place" if set(channels) & set(truth.channels) else "wrong place"
 
 
-def removed_excess(case: dict[str, Any], of: str = "before") -> float | None:
-    """Returns the fraction of the excess error that a learned function removes, in tested trials.
+def removed_excess(
+    case: dict[str, Any], of: str = "before", avoidable: bool = False
+) -> float | None:
+    """Returns the fraction of the error that a learned function removes, in tested trials.
 
-    The excess error is the rms difference between predicted and true readings. The mean over the
-    channels is weighted by the inverse noise floors. `of` is the model whose excess error is 1: the
-    model "before" the function, or the calibrated model without any effect, "refit". None: nothing
-    was learned, or the result file of an earlier version does not contain this model.
+    The error is the rms difference between predicted and true readings. The mean over the channels
+    is weighted by the inverse noise floors. `of` is the model whose error is 1: the model "before"
+    the function, or the calibrated model without any effect, "refit". If `avoidable` is true, the
+    error of a calibrated complete model is subtracted from both. None: nothing was learned, or the
+    result file of an earlier version does not contain this model.
     """
     learned = case.get("learned", {})
-    before, after = (
-        sum(
-            (x.get(key, 0.0) / learned["errors"][c]["floor"]) ** 2
-            for c, x in learned.get("distance", {}).items()
+    before, after, complete = (
+        np.sqrt(
+            sum(
+                (x.get(key, 0.0) / learned["errors"][c]["floor"]) ** 2
+                for c, x in learned.get("distance", {}).items()
+            )
         )
-        for key in (of, "after")
+        for key in (of, "after", "complete")
     )
-    return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else None
+    if not before > 0.0 or (avoidable and not complete > 0.0):
+        return None
+    return float((before - after) / (before - (complete if avoidable else 0.0)))
 
 
 def _share(flags: Sequence[bool]) -> str:
@@ -173,13 +180,14 @@ def summary_tables(out: Path) -> str:
     singles, doubles = read_cases(out, "single"), read_cases(out, "double")
     if singles:
         parts.append(_single_table(singles))
-    long_singles = read_cases(out, "single8")
-    if long_singles:
-        parts.append("Single effects, eight trials:\n\n" + _single_table(long_singles))
-    if doubles:
-        empty = sum(not x["effects"] for x in doubles)
-        lines = [f"Two effects, {len(doubles)} pairs: F1 {f1(doubles):.3f}; {empty} empty models"]
-        parts.append("\n".join([*lines, *(_case_line(x) for x in doubles)]))
+    eight = {kind: read_cases(out, kind) for kind in ("single8", "double8")}
+    if eight["single8"]:
+        parts.append("Single effects, eight trials:\n\n" + _single_table(eight["single8"]))
+    for title, pairs in (("Two effects", doubles), ("Pairs, eight trials", eight["double8"])):
+        if pairs:
+            empty = sum(not x["effects"] for x in pairs)
+            lines = [f"{title}, {len(pairs)} pairs: F1 {f1(pairs):.3f}; {empty} empty models"]
+            parts.append("\n".join([*lines, *(_case_line(x) for x in pairs)]))
     outside = []
     for kind in LACKING:
         found = read_cases(out, kind)
@@ -193,7 +201,8 @@ def summary_tables(out: Path) -> str:
             f"{np.median(skill):.3f}, smallest {min(skill):.3f}"
         )
     parts.append(_method_table([*nulls, *singles, *doubles, *outside]))
-    everything = [*nulls, *noisy, *situations, *singles, *long_singles, *doubles, *outside]
+    everything = [*nulls, *noisy, *situations, *singles, *doubles, *outside]
+    everything += [x for found in eight.values() for x in found]
     seconds = [x["seconds"] for x in everything]
     parts.append(
         f"{len(everything)} tanks, {np.median(seconds):.0f} s at the median, "
@@ -292,6 +301,9 @@ def _outside_table(kind: str, outside: Sequence[dict[str, Any]]) -> str:
     whole = [removed_excess(x, "refit") for x in outside]
     enough = [x is not None and x >= REMOVED for x in whole]
     lines.append(f"- the same, with the corrections beside it: {_share(enough)}")
+    avoidable = [removed_excess(x, avoidable=True) for x in outside]
+    enough = [x is not None and x >= REMOVED for x in avoidable]
+    lines.append(f"- the same, without the error of a calibrated complete model: {_share(enough)}")
     for rating, share, x in zip(ratings, shares, outside, strict=True):
         removed = "nothing learned" if share is None else f"{share:.0%} of the excess removed"
         lines.append(f"{_case_line(x)}: {rating}, {removed}")
