@@ -128,7 +128,10 @@ class Case(NamedTuple):
 
 @dataclass
 class MemoryCache:
-    """A cache of simulations, because the other methods repeat the loop's simulations."""
+    """A cache of simulations, because the other methods repeat the loop's simulations.
+
+    Its arrays are copies: the loop changes the arrays that it receives.
+    """
 
     results: dict[bytes, list[np.ndarray]] = field(default_factory=dict)
 
@@ -140,10 +143,11 @@ class MemoryCache:
         return found
 
     def load(self, name, arrays):
-        return self.results.get(self.key(name, arrays))
+        found = self.results.get(self.key(name, arrays))
+        return None if found is None else [x.copy() for x in found]
 
     def store(self, name, arrays, made):
-        self.results[self.key(name, arrays)] = made
+        self.results[self.key(name, arrays)] = [x.copy() for x in made]
 
     @staticmethod
     def key(name, arrays):
@@ -300,7 +304,6 @@ def run_case(
             complete = distance_of_complete_model(case, tank, outcome, simulated.get(case.kind, ()))
             for channel, x in record["learned"]["distance"].items():
                 x["complete"] = complete[channel]
-        if record["learned"]["terms"]:
             record["verdict"] = LEARNED if record["learned"]["reaches_floor"] else PARTLY
     if not outcome.held:
         return record

@@ -141,22 +141,23 @@ def removed_excess(
     The error is the rms difference between predicted and true readings. The mean over the channels
     is weighted by the inverse noise floors. `of` is the model whose error is 1: the model "before"
     the function, or the calibrated model without any effect, "refit". If `avoidable` is true, the
-    error of a calibrated complete model is subtracted from both. None: nothing was learned, or the
-    result file of an earlier version does not contain this model.
+    squared error of a calibrated complete model is subtracted from both squared errors. None:
+    nothing was learned, or the result file of an earlier version does not contain this model.
     """
     learned = case.get("learned", {})
     before, after, complete = (
-        np.sqrt(
-            sum(
-                (x.get(key, 0.0) / learned["errors"][c]["floor"]) ** 2
-                for c, x in learned.get("distance", {}).items()
-            )
+        sum(
+            (x.get(key, 0.0) / learned["errors"][c]["floor"]) ** 2
+            for c, x in learned.get("distance", {}).items()
         )
         for key in (of, "after", "complete")
     )
-    if not before > 0.0 or (avoidable and not complete > 0.0):
+    if avoidable and complete == 0.0:
         return None
-    return float((before - after) / (before - (complete if avoidable else 0.0)))
+    unavoidable = complete if avoidable else 0.0
+    if before <= unavoidable:
+        return None
+    return 1.0 - float(np.sqrt(max(after - unavoidable, 0.0) / (before - unavoidable)))
 
 
 def _share(flags: Sequence[bool]) -> str:
@@ -302,8 +303,9 @@ def _outside_table(kind: str, outside: Sequence[dict[str, Any]]) -> str:
     enough = [x is not None and x >= REMOVED for x in whole]
     lines.append(f"- the same, with the corrections beside it: {_share(enough)}")
     avoidable = [removed_excess(x, avoidable=True) for x in outside]
-    enough = [x is not None and x >= REMOVED for x in avoidable]
-    lines.append(f"- the same, without the error of a calibrated complete model: {_share(enough)}")
+    if any(x is not None for x in avoidable):
+        enough = [x is not None and x >= REMOVED for x in avoidable]
+        lines.append(f"- the same, without the error of a complete model: {_share(enough)}")
     for rating, share, x in zip(ratings, shares, outside, strict=True):
         removed = "nothing learned" if share is None else f"{share:.0%} of the excess removed"
         lines.append(f"{_case_line(x)}: {rating}, {removed}")

@@ -37,13 +37,21 @@ from calibration.discrepancy.rounds import (
     agreement,
     can_join,
     effect_entries,
+    relative_changes,
     scoring_entries,
 )
 from calibration.discrepancy.scores import blocks_at_null, score, tangent_cosine
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import tested_excess
-from calibration.inference.problem import FAILED, ChannelBlock, normal_equations, summed, total
+from calibration.inference.problem import (
+    FAILED,
+    ChannelBlock,
+    normal_equations,
+    products,
+    summed,
+    total,
+)
 from slider_jax.effects.library import LIBRARY
 
 
@@ -75,11 +83,13 @@ def equivalent_effects(
 
 
 def exchanges(refits: Refits, found: Selection, J: Tangents) -> dict[str, dict[str, np.ndarray]]:
-    """Returns for each chosen effect the candidates that may replace it, and their steps.
+    """Returns for each chosen effect the candidates that may replace it.
 
-    The candidates are scored by the residual without the chosen effect, but with all others. `J`
-    are the whitened tangents of all candidates. The result is empty for fewer than two effects,
-    because the rounds then made the same comparison.
+    The candidates and the chosen effect are scored by the residual without the chosen effect, but
+    with all others. `J` are whitened tangents of all candidates, also of an earlier round. A step
+    is the change of the parameter vector that the score predicts. The result lacks an effect if the
+    model without it cannot be simulated. It is empty for fewer than two effects, because the rounds
+    then made the same comparison.
     """
     if len(found.effects) < 2:
         return {}
@@ -95,7 +105,7 @@ def exchanges(refits: Refits, found: Selection, J: Tangents) -> dict[str, dict[s
         if total(left) >= FAILED:
             continue
         without = [
-            x._replace(b=J[x.trial, x.channel] @ r, c=float(r @ r))
+            x._replace(b=products(J[x.trial, x.channel], r), c=float(r @ r))
             for x, r in zip(blocks, left.values(), strict=True)
         ]
         others = [n for n in found.effects if n != name]
@@ -114,14 +124,14 @@ def exchanges(refits: Refits, found: Selection, J: Tangents) -> dict[str, dict[s
 def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = None) -> None:
     """Substitutes each alternative for its round's chosen effect and updates the equivalence class.
 
-    `J` are the last tangents that were computed. They are used if they contain all parameters that
-    the final fit keeps.
-    An alternative that cannot be fitted remains in the class if it was in the class before. If a
-    residual exceeds the noise floor, a class loses only effects that the model also contains.
+    `J` are the last tangents that were computed, also at an earlier fit. They are used if they
+    contain all parameters that the final fit keeps. An alternative that cannot be fitted remains in
+    the class if it was in the class before. If a residual exceeds the noise floor, a class loses
+    only effects that the model also contains.
     """
     settings = refits.settings
     for round_ in found.rounds:
-        round_.alternatives = {}
+        round_.alternatives, round_.exchanged = {}, []
     problem, final = refits.problem, found.final
     contenders = [(round_, _contenders(round_, settings)) for round_ in found.rounds]
     pairs = []
@@ -132,7 +142,7 @@ def judge_alternatives(refits: Refits, found: Selection, J: Tangents | None = No
             steps = proposed.get(round_.chosen or "", {})
             round_.exchanged = list(steps)
             for name in dict.fromkeys([*near, *steps]):
-                start = _substitution(refits, found, round_, name, steps.get(name))
+                start = _substitution(refits, found, round_, name, steps)
                 if start is not None:
                     pairs.append((round_, name, start))
     if J is not None and pairs:
@@ -197,6 +207,20 @@ def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
     return found.rounds[number], name
 
 
+def refit_of_exchange(refits: Refits, round_: SelectionStep, name: str, fit: Fit) -> Refit:
+    """Returns the record of an effect that replaces a round's chosen effect by an exchange.
+
+    `fit` is the final fit with the effect. The gain is that of the chosen effect, minus the loss by
+    the exchange.
+    """
+    x = round_.alternatives[name]
+    before = next(t for t in round_.refitted if t.name == round_.chosen)
+    null = refits.null(fit.theta, effect_entries(refits.entries)[name])
+    sizes = relative_changes(refits.problem, refits.problem.predict(null), fit.predicted)
+    assert x.agreement is not None
+    return Refit(name, fit, before.gain - x.loss, sizes, x.agreement, True)
+
+
 def _agreement(refits: Refits, found: Selection, name: str, fit: Fit) -> Agreement | None:
     """Returns the cross-validation of the effect `name` in its `fit` with all other effects."""
     if name in found.effects:
@@ -224,12 +248,13 @@ def _substitution(
     found: Selection,
     round_: SelectionStep,
     alternative: str,
-    step: np.ndarray | None = None,
+    steps: Mapping[str, np.ndarray],
 ) -> FitStart | None:
     """Returns the start of a fit with an alternative substituted for a round's chosen effect.
 
     The final fit may already contain the alternative. Returns None if another effect in the fit
-    replaces the same law of the base model. `step` is that of an exchange, if there is one.
+    replaces the same law of the base model. `steps` are those of the `exchanges` of the round; the
+    start of an alternative that was refitted before is its refit.
     """
     assert round_.chosen is not None
     others = [n for n in found.effects if n not in (round_.chosen, alternative)]
@@ -244,11 +269,11 @@ def _substitution(
     rounds = [round_, *found.rounds]
     fits = [t.fit for r in rounds for t in r.refitted if t.name == alternative]
     start = theta.copy()
-    if fits and step is None:
+    if fits:
         start[group] = fits[0].theta[group]
     else:
-        if step is None:
-            step = next(s.step for r in rounds for s in r.scores if s.name == alternative)
+        scores = (s.step for r in rounds for s in r.scores if s.name == alternative)
+        step = steps[alternative] if alternative in steps else next(scores)
         own = np.isin(np.arange(len(theta)), group)
         start = initial_theta(refits, theta, group, np.where(own, step, 0.0))
     return FitStart(start, np.concatenate([rest, group]), theta)

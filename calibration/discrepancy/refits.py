@@ -252,8 +252,9 @@ class Estimate:
         refits, best = self.refits, self.best
         residuals = refits.problem.residuals(predicted, refits.white)
         square, samples = total(residuals), sum(len(r) for r in residuals.values())
-        far = not self.judge and best.square == FAILED and square > self.current.square
-        if far and self.halved < refits.settings.max_halvings - 1:
+        first = best.square == FAILED and self.halved < refits.settings.max_halvings - 1
+        at_null = np.array_equal(self.proposed, self.start.null)
+        if first and not self.judge and not at_null and square > self.current.square:
             # The start is worse than the current fit, which does not contain the effect.
             self.halved += 1
             self.proposed = 0.5 * (self.proposed + self.start.null)

@@ -30,6 +30,7 @@ from calibration.discrepancy.alternatives import (
     better_alternative,
     equivalent_effects,
     judge_alternatives,
+    refit_of_exchange,
 )
 from calibration.discrepancy.ranges import fix_undetermined_shapes, widen_ranges
 from calibration.discrepancy.refits import (
@@ -91,6 +92,8 @@ def select_effects(
         found.effects = [better if n == round_.chosen else n for n in found.effects]
         fit = round_.alternatives[better].fit
         found.final = refits.fit(fit.theta, fit.free)
+        if better not in {t.name for t in round_.refitted}:
+            round_.refitted.append(refit_of_exchange(refits, round_, better, found.final))
         round_.equivalent = [round_.chosen, *(n for n in round_.equivalent if n != better)]
         round_.chosen, round_.replaced = better, round_.chosen
         refits = _widen(refits, found)

@@ -94,6 +94,14 @@ def normal_equations(
     return [block(key, r) for key, r in residuals.items()]
 
 
+def products(J: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Returns J r of derivatives J (k, n) and a residual r (n,), with double precision."""
+    found = np.zeros(len(J))
+    for here in slices(len(r), len(J)):
+        found += J[:, here].astype(float) @ r[here]
+    return found
+
+
 class Affine(NamedTuple):
     """Map from a fitted vector x to the parameters of one trial: offset + matrix x."""
 

@@ -133,8 +133,9 @@ def _set_along(
     Series of zeros are not written: the memory of an array of zeros is empty until it is written.
     """
     for here, tangents in by_directions(function, directions[chosen], rows):
-        row, channel = np.nonzero(tangents.any(axis=2))
-        found[chosen[here][row], channel] = tangents[row, channel]
+        for channel in range(tangents.shape[1]):
+            moving = np.flatnonzero(tangents[:, channel].any(axis=1))
+            found[chosen[here][moving], channel] = tangents[moving, channel]
 
 
 def compile_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> None:

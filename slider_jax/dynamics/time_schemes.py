@@ -39,6 +39,16 @@ Numer. Anal. 14, 1006-1021."""
 SCHEMES = {scheme.name: scheme for scheme in (BACKWARD_EULER, SDIRK2)}
 
 
+def parabolas(scheme: Scheme) -> list[list[float]]:
+    """Returns weights that extrapolate the last three solutions (oldest first) to each stage."""
+    times = [node - back for back in (3, 2, 1, 0) for node in scheme.nodes]
+    rows = []
+    for stage in range(-scheme.stages, 0):
+        known, target = times[stage - 3 : stage], times[stage]
+        rows.append([math.prod((target - b) / (a - b) for b in known if b != a) for a in known])
+    return rows
+
+
 KNOWN = 4
 """Number of solutions that predict the next solution."""
 

@@ -28,7 +28,7 @@ from slider_jax.dynamics.model import Model, SpaceSettings
 from slider_jax.dynamics.newton import BeamNewton
 from slider_jax.dynamics.pressures import Chambers, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, run_steps
-from slider_jax.dynamics.time_schemes import KNOWN, SDIRK2, Scheme, extrapolation
+from slider_jax.dynamics.time_schemes import KNOWN, SDIRK2, Scheme, extrapolation, parabolas
 from slider_jax.effects import in_space, total_load
 from slider_jax.spatial.lines import chamber_lines, lines_of_chambers, tendon_lines
 from slider_jax.spatial.mesh import SpatialMesh, spatial_mesh
@@ -70,8 +70,8 @@ class SpatialCarry(eqx.Module):
     """T, M and V of the last solutions, oldest first, which predict the next solution."""
     frames: Float[Array, "4 4 nodes"]
     """Quaternions of the frames of these solutions."""
-    twist: Float[Array, "4 cells"]
-    """Twist [1/m] of these solutions."""
+    twist: Float[Array, "3 cells"]
+    """Twist [1/m] of the last three solutions."""
     memory: SpatialMemory
     chambers: Chambers
     ok: Bool[Array, ""]
@@ -236,7 +236,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
     """Returns the function that advances a `SpatialCarry` by one step; see `make_step`."""
     solver = BeamNewton(rtol=numerics.tolerance)
     scale = _scales(model)
-    predict = jnp.asarray(extrapolation(scheme))
+    predict, parabola = jnp.asarray(extrapolation(scheme)), jnp.asarray(parabolas(scheme))
     nodes, weights = jnp.asarray(scheme.nodes), jnp.asarray(scheme.weights)
     grid, space = mesh.grid, settings_in_space(model)
     angles, zero = jnp.asarray(space.angles, float), jnp.zeros_like(grid.ds)
@@ -250,10 +250,10 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
 
     def stage_of(base: SpatialMemory, start: Quaternion, support, h, carry, stage_inputs):
         """Returns guess of the solution, stage, last solution, and the anchor's reference place."""
-        t, weight, predictor, chambers = stage_inputs
+        t, weight, predictor, of_twist, chambers = stage_inputs
         memory = jax.tree.map(lambda b, q: b + weight * (q - b), base, carry.memory)
         dt = scheme.gamma * h
-        slope = jnp.asarray(jnp.gradient(predictor @ carry.twist, grid.mid(grid.s)))
+        slope = jnp.asarray(jnp.gradient(of_twist @ carry.twist, grid.mid(grid.s)))
         reference = SpatialReference(
             V=mean_of(memory.V),
             omega=mean_of(memory.omega),
@@ -346,7 +346,7 @@ def make_spatial_step(model: Model, mesh: SpatialMesh, numerics: Numerics, schem
         )
         carry = eqx.tree_at(lambda c: c.memory, carry, base)
 
-        rows = (t_start + nodes * h, weights, predict, chambers)
+        rows = (t_start + nodes * h, weights, predict, parabola, chambers)
         first = jax.tree.map(lambda x: x[0], rows)
         # All stages have the same gamma h, so one factorisation usually serves the whole step.
         count = carry.factorisations + jnp.where(carry.ok, 1, 0)
@@ -399,7 +399,7 @@ def at_rest_in_space(
     return SpatialCarry(
         history=jnp.broadcast_to(y, (KNOWN, *y.shape)),
         frames=jnp.broadcast_to(frames, (KNOWN, *frames.shape)),
-        twist=jnp.zeros((KNOWN, len(s) - 1)),
+        twist=jnp.zeros((3, len(s) - 1)),
         memory=memory,
         chambers=start_chambers(model),
         ok=jnp.asarray(True),

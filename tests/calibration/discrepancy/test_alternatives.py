@@ -1,5 +1,7 @@
 """Alternative effects compared after the selection, on sums of known series."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,8 @@ from calibration.discrepancy.refits import Refits
 from calibration.discrepancy.rounds import Agreement
 from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
+from calibration.discrepancy.verdict import judge_effects
+from calibration.inference import goodness
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
 from tests.support.sums import SAMPLES, TRIALS, Sums
@@ -144,6 +148,25 @@ def test_an_effect_that_another_missing_effect_hides_joins_the_class_by_an_excha
     assert other in first.exchanged and other in first.equivalent
     swapped = first.alternatives[other]
     assert abs(swapped.loss) < DEFAULT_SETTINGS.min_gain and swapped.fit.theta[1] == 0.0
+
+
+def test_an_effect_that_explains_more_replaces_another_by_an_exchange():
+    shapes = np.stack([BASE, ONE - 0.2 * OTHER + 0.1 * CURRENT, ONE - 2.0 * OTHER, OTHER])
+    names = ("carried_mass", "tank_current", "force_gain")
+    prior = Prior(0.0, -50.0, 50.0, "-", "")
+    entries = [ENTRIES[0], *(Parameter(name, "x", prior) for name in names)]
+    sums, truth = Sums((1.0, 0.0, 1.0, 2.0), shapes), (1.0, 0.0, 1.0, 2.0)
+    settings = replace(DEFAULT_SETTINGS, max_effects=2)
+    found = select_effects(sums, entries, np.zeros(4), base_names=("k",), settings=settings)
+    first = found.rounds[0]
+    assert first.replaced == "carried_mass" and set(found.effects) == set(names[1:])
+    np.testing.assert_allclose(found.final.theta, truth, atol=0.02)
+    after = goodness.tested_excess(sums, found.final)
+    statuses = judge_effects(found, found.final.theta, after, sums.all_channels)
+    assert {x.name for x in statuses} == set(found.effects)
+    record = next(t for t in first.refitted if t.name == first.chosen)
+    # Without the effect, only the sum of the other effect and the base remains.
+    assert record.gain > 1000.0 and record.sizes["tip"] > 0.1 and record.worth_naming
 
 
 def test_a_single_effect_has_no_exchange():
