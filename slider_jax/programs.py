@@ -129,7 +129,7 @@ def _cache_hits() -> int:
 
 
 def return_freed_memory() -> None:
-    """Returns memory that the compiler freed to the operating system.
+    """Returns memory that the compiler or a long simulation freed to the operating system.
 
     GNU libc keeps it otherwise. With another C library, this function does nothing.
     """

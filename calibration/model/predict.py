@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibration.model.compiled import compiled_batch, in_batches, stacked, structure_of
+from calibration.model.compiled import LONG, compiled_batch, in_batches, stacked, structure_of
 from calibration.model.extended import ExtendedModel, Part, PartialModel, acting_part, whole_part
 from calibration.model.plan import (
     BLOCK,
@@ -34,6 +34,7 @@ from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import Scheme
 from slider_jax.effects import Readings
+from slider_jax.programs import return_freed_memory
 from slider_jax.simulation.trial import run_chunks
 
 BATCH = 4
@@ -137,7 +138,10 @@ def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
 
 def predict_each(pairs: Sequence[tuple[TrialPlan, np.ndarray]]) -> list[np.ndarray]:
     """Returns `predict_readings(plan, theta)` for each pair, computed on all cores."""
-    return _predict(pairs, acting_part)
+    found = _predict(pairs, acting_part)
+    if any(p.grid.steps >= LONG for p, _ in pairs):
+        return_freed_memory()
+    return found
 
 
 def compile_readings(p: TrialPlan, theta: np.ndarray) -> None:
