@@ -15,7 +15,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ from tanks import (
     NOISES,
     OTHER_ROBOT,
     SITUATIONS,
+    MemoryCache,
     Tank,
     close_tank_loop,
     detection_limits,
@@ -124,34 +125,6 @@ class Case(NamedTuple):
     """One of `NOISES` or of `SITUATIONS`."""
     compared: bool = False
     """Whether the other methods run on this tank."""
-
-
-@dataclass
-class MemoryCache:
-    """A cache of simulations, because the other methods repeat the loop's simulations.
-
-    Its arrays are copies: the loop changes the arrays that it receives.
-    """
-
-    results: dict[bytes, list[np.ndarray]] = field(default_factory=dict)
-
-    def cached(self, name, arrays, make):
-        found = self.load(name, arrays)
-        if found is None:
-            found = make()
-            self.store(name, arrays, found)
-        return found
-
-    def load(self, name, arrays):
-        found = self.results.get(self.key(name, arrays))
-        return None if found is None else [x.copy() for x in found]
-
-    def store(self, name, arrays, made):
-        self.results[self.key(name, arrays)] = [x.copy() for x in made]
-
-    @staticmethod
-    def key(name, arrays):
-        return name.encode() + b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)
 
 
 def trials_of(kind: str) -> int:

@@ -6,7 +6,7 @@ trial. The data have the form of an experiment's files.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -156,6 +156,34 @@ def noisy_records(
         values = np.stack([columns[x] for x in SLIDER_CHANNELS.columns[1:]])
         records.append(Record(trial, t, values, SLIDER_CHANNELS))
     return records
+
+
+@dataclass
+class MemoryCache:
+    """A cache of simulations, because the other methods repeat the loop's simulations.
+
+    Its arrays are copies: the loop changes the arrays that it receives.
+    """
+
+    results: dict[bytes, list[np.ndarray]] = field(default_factory=dict)
+
+    def cached(self, name, arrays, make):
+        found = self.load(name, arrays)
+        if found is None:
+            found = make()
+            self.store(name, arrays, found)
+        return found
+
+    def load(self, name, arrays):
+        found = self.results.get(self.key(name, arrays))
+        return None if found is None else [x.copy() for x in found]
+
+    def store(self, name, arrays, made):
+        self.results[self.key(name, arrays)] = [x.copy() for x in made]
+
+    @staticmethod
+    def key(name, arrays):
+        return name.encode() + b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)
 
 
 def close_tank_loop(

@@ -2,12 +2,14 @@
 
 import sys
 
+import numpy as np
 import pytest
 
 from tests.support.data import ROOT
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
 from summary import f1, is_right, matched_effects, skills  # noqa: E402
+from tanks import MemoryCache  # noqa: E402
 
 
 def case(truth, causes, before=3.0, after=1.0):
@@ -42,3 +44,14 @@ def test_f1_is_computed_over_all_cases():
 def test_skill_omits_cases_without_a_residual():
     found = [case(["x"], [["x"]], 3.0, 1.2), case(["x"], [["x"]], 1.05, 1.2)]
     assert skills(found) == [pytest.approx(0.9)]
+
+
+def test_the_loop_may_change_arrays_of_the_cache():
+    """The loop changes the tangents that it receives; a later method must not see this."""
+    cache, at = MemoryCache(), [np.zeros(2)]
+    made = cache.cached("tangents", at, lambda: [np.ones(3)])
+    made[0][:] = 7.0
+    (again,) = cache.cached("tangents", at, lambda: [np.zeros(3)])
+    np.testing.assert_array_equal(again, np.ones(3))
+    again[:] = 8.0
+    np.testing.assert_array_equal(cache.load("tangents", at)[0], np.ones(3))

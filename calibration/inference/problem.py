@@ -254,7 +254,8 @@ class AbstractProblem(ABC):
             moving = np.flatnonzero(series.any(axis=1))
             for rows in slices(len(moving), len(there)):
                 here = moving[rows]
-                found[here] = white[key](series[here][:, there])
+                some = series[here]
+                found[here] = white[key](some if n == len(there) else some[:, there])
             return key, found
 
         return dict(on_all_cores(one, list(white)))
