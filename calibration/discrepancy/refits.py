@@ -233,7 +233,11 @@ def shape_starts(
 
 
 class Estimate:
-    """A fit by Broyden's method; the caller simulates the readings at `proposed`."""
+    """A fit by Broyden's method; the caller simulates the readings at `proposed`.
+
+    Between two steps, its readings and residuals have single precision, because dozens of fits run
+    at the same time.
+    """
 
     def __init__(
         self, refits: "Refits", current: Fit, start: FitStart, tangents: Tangents, judge: bool
@@ -275,7 +279,8 @@ class Estimate:
             x = broyden_correction(J, change, step, summed(best.blocks)[0])
             self.corrections.append(x)
             J = x.of(J)
-        self.residuals, blocks = residuals, normal_equations(residuals, J)
+        blocks = normal_equations(residuals, J)
+        self.residuals = {key: r.astype(np.float32) for key, r in residuals.items()}
         A, b = summed(blocks)
         theta, free = self.proposed, best.free
         self.step = linear_optimum(A, b, theta[free], self.bounds) - theta[free]
@@ -287,7 +292,8 @@ class Estimate:
             refits.settings.estimate_tolerance_share * moved,
         )
         self.expected, self.done = square - gain, bool(abs(gain) < least)
-        self.best = Fit(theta, free, square, samples, blocks, predicted, self.done)
+        readings = [y.astype(np.float32) for y in predicted]
+        self.best = Fit(theta, free, square, samples, blocks, readings, self.done)
         self.share, self.steps, self.halved = 1.0, self.steps + 1, 0
         self._propose()
 

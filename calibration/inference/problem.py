@@ -438,8 +438,8 @@ class TankProblem(AbstractProblem):
     def _coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
         each = [self._own(theta) for theta in thetas]
         pairs = [(p, x[i]) for i, p in enumerate(self.coarse_plans) for x in each]
-        found, k = predict_each(pairs), len(thetas)
-        return [np.stack(found[i : i + k]) for i in range(0, len(found), k)]
+        found = predict_each(pairs)[::-1]
+        return [_stacked([found.pop() for _ in thetas]) for _ in self.coarse_plans]
 
     def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         if self.maps is None:
@@ -493,6 +493,15 @@ class TankProblem(AbstractProblem):
     def _own(self, theta: np.ndarray) -> list[np.ndarray]:
         """Returns the parameters of each trial for the fitted vector `theta`."""
         return [theta] * len(self.fine) if self.maps is None else [m.at(theta) for m in self.maps]
+
+
+def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
+    """Returns one array of `arrays` of one shape. The list is emptied, which frees memory."""
+    arrays.reverse()
+    found = np.empty((len(arrays), *arrays[0].shape), arrays[0].dtype)
+    for row in found:
+        row[...] = arrays.pop()
+    return found
 
 
 def total(residuals: dict[tuple[int, str], np.ndarray]) -> float:

@@ -97,12 +97,12 @@ def reading_tangents(
     def along(d: np.ndarray) -> np.ndarray:
         body = acting_part(p.extended, Part.BODY, theta, d)
         state = _begin_along(body.extended, body.theta, d[:, body.entries], p.numerics)
-        series, d_series = _ideal_tangents(p, theta, d, body, state)
+        series, d_series = _ideal_tangents(p, theta, d, body, state, dtype=dtype)
         ideal[:] = [series]
         return _recorded_tangents(p, theta, d, series, d_series, dtype)
 
     def along_sensors(d: np.ndarray) -> np.ndarray:
-        still = np.zeros((len(d), *ideal[0].shape))
+        still = np.zeros((len(d), *ideal[0].shape), dtype)
         return _recorded_tangents(p, theta, d, ideal[0], still, dtype)
 
     # A call with directions of one kind omits effects of the other kind. With equal numbers of
@@ -178,17 +178,19 @@ def _ideal_tangents(
     body: PartialModel,
     state: tuple[Carry, Carry],
     initial: np.ndarray | None = None,
+    dtype: type = float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns ideal sensors' readings (n, channels) at the steps, and tangents (k, n, channels).
 
-    `state` is the initial state, and its tangents.
+    `state` is the initial state, and its tangents. The tangents of the readings have the type
+    `dtype`.
     """
     h, times, block = np.asarray(p.grid.h), stage_times(p), BLOCK * p.scheme.stages
     d_body = d_theta[:, body.entries]
     start = with_pressures(p.extended.channels, np.asarray(state[0].chambers.p)[None])
     count = 1 + -(-p.grid.steps // BLOCK) * BLOCK
     series = np.zeros((count, start.shape[-1]))
-    d_series = np.zeros((len(d_theta), *series.shape))
+    d_series: np.ndarray = np.zeros((len(d_theta), *series.shape), dtype)
     series[:1], d_series[:, 0] = start, 0.0 if initial is None else initial
     fixed: PressureHistory | None = None
     if _moves(p.extended, Part.PRESSURES, d_theta).any():
@@ -248,7 +250,7 @@ def _recorded_tangents(
     found: np.ndarray = np.zeros((len(d_theta), len(p.extended.channels), len(p.at)), dtype)
     for rows in slices(len(d_theta), readings.size, DIRECTIONS):
         if sensors.has_effects:
-            _, along = padded(t, d_series[rows])
+            _, along = padded(t, d_series[rows].astype(float, copy=False))
             along = _read_along(sensors.extended, sensors.theta, at, readings, own[rows], along)
             found[rows] = at_samples(p, np.asarray(along))
         else:
