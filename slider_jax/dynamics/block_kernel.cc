@@ -37,21 +37,34 @@ namespace ffi = xla::ffi;
 
 namespace {
 
+// The number of doubles in a vector register of the processor. With larger vectors, the matrices of a
+// cell do not fit into the registers.
+#ifdef __AVX512F__
 constexpr int LANES = 8;
+#else
+constexpr int LANES = 4;
+#endif
 typedef double Vec __attribute__((vector_size(8 * LANES)));
 typedef int64_t Lanes __attribute__((vector_size(8 * LANES)));
 typedef double Unaligned __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 
-constexpr Lanes NUMBERS = {0, 1, 2, 3, 4, 5, 6, 7};
+template <size_t... LANE>
+constexpr Lanes count_lanes(std::index_sequence<LANE...>) {
+  return Lanes{LANE...};
+}
+constexpr Lanes NUMBERS = count_lanes(std::make_index_sequence<LANES>());
 
 inline Vec load(const double* x) { return *reinterpret_cast<const Unaligned*>(x); }
 inline void store(double* x, Vec v) { *reinterpret_cast<Unaligned*>(x) = v; }
 
-constexpr int64_t padded(int64_t cells) { return (cells + LANES - 1) / LANES * LANES; }
+constexpr int64_t padded(int64_t cells, int64_t multiple = LANES) {
+  return (cells + multiple - 1) / multiple * multiple;
+}
 
+// The same for all processors, so that Python need not know LANES.
 template <int K>
 constexpr int64_t factor_size(int64_t cells) {
-  return 8 * K * K * padded(cells) + 4 * K * K;
+  return 8 * K * K * padded(cells, 8) + 4 * K * K;
 }
 
 // The parts of the factors. Rows: entry (i, j) of cell c of a matrix is at (i * columns + j) * stride
@@ -235,7 +248,7 @@ inline void exchange(Vec (&a)[LANES]) {
 
 // Exchanges rows and columns: lane j of vector i becomes lane i of vector j.
 inline void transpose(Vec (&a)[LANES]) {
-  exchange<4>(a);
+  if constexpr (LANES == 8) exchange<4>(a);
   exchange<2>(a);
   exchange<1>(a);
 }

@@ -25,7 +25,7 @@ from slider_jax.io.files import cache_folder, processor_features, replacing
 
 SOURCE = Path(__file__).with_name("block_kernel.cc")
 FLAGS = ("-O3", "-march=native", "-std=c++17", "-shared", "-fPIC", "-w")
-LANES = 8
+PADDING = 8
 """The number of cells in the factors is a multiple of this number, as in the source."""
 TARGETS = ("factorise", "solve", "correct", "solve_transposed")
 
@@ -134,7 +134,7 @@ def factorise(
 ) -> Float[Array, " size"]:
     """Returns the factors of a `BeamOperator` without `update`."""
     k, cells = len(tail), left.shape[-1]
-    padded = -(-cells // LANES) * LANES
+    padded = -(-cells // PADDING) * PADDING
     size = 4 * k * k * (2 * padded + 1)
     return _call("factorise", jax.ShapeDtypeStruct((size,), left.dtype))(left, right, tail, head)[0]
 
