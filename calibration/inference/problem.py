@@ -189,13 +189,16 @@ class AbstractProblem(ABC):
     def coarse(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Returns each trial's readings (k, channels, samples) with k parameter vectors.
 
-        The simulations use the mesh that gives the tangents.
+        The simulations use the mesh that gives the tangents. The caller may change the arrays.
         """
         return self._cached("coarse", thetas, lambda: self._coarse(thetas))
 
     def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Returns changes (k, channels, samples) of trials' readings from `theta` to `others`."""
-        return [y[1:] - y[:1] for y in self.coarse([theta, *others])]
+        found = self.coarse([theta, *others])
+        for y in found:
+            y[1:] -= y[:1]
+        return [y[1:] for y in found]
 
     def _cached(self, kind: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
         return cached(self.memo, f"{kind} {[r.trial.file for r in self.records]}", arrays, make)
