@@ -17,7 +17,8 @@ from jinja2 import Environment, StrictUndefined
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, TEMPLATE = ROOT / "docs" / "reference" / "performance.md", "performance.md.j2"
 NAMES = (
-    "speed", "start_up", "sharing", "population", "space", "close_loop_time", "close_loop_long"
+    "speed", "speed_avx2", "start_up", "sharing", "population", "space", "close_loop_time",
+    "close_loop_long",
 )  # fmt: skip
 FIRST_RUN = "first run"
 """Name of the run of `slider close-loop` that also compiles the programs."""
