@@ -235,8 +235,8 @@ def shape_starts(
 class Estimate:
     """A fit by Broyden's method; the caller simulates the readings at `proposed`.
 
-    Between two steps, its readings and residuals have single precision, because dozens of fits run
-    at the same time.
+    The readings and residuals that it keeps have single precision, because dozens of fits run at
+    the same time.
     """
 
     def __init__(

@@ -37,8 +37,8 @@ namespace ffi = xla::ffi;
 
 namespace {
 
-// The number of doubles in a vector register of the processor. With larger vectors, the matrices of a
-// cell do not fit into the registers.
+// The number of doubles in a vector. Vectors of eight are slow without AVX-512: each takes two or more
+// registers, and there are fewer registers.
 #ifdef __AVX512F__
 constexpr int LANES = 8;
 #else
