@@ -83,11 +83,15 @@ def score(
     parameter's information in all trials, with all other parameters `free` projected out. Source:
     ridge regression, Hoerl, A. E. and Kennard, R. W. (1970), Technometrics 12, 55-67.
     """
+    parameters, fitted = len(blocks[0].b), np.concatenate([free, group])
+    penalised = np.isin(fitted, [*earlier, *group])
+    # A dictionary has 250 parameters, and a score needs only a few of their rows.
+    blocks = [x._replace(A=x.A[np.ix_(fitted, fitted)], b=x.b[fitted]) for x in blocks]
+    both = np.arange(len(fitted))
+    free, group = both[: len(free)], both[len(free) :]
     A, b = summed(blocks)
-    both = np.concatenate([free, group])
     penalty = np.zeros(len(both))
     if ridge:
-        penalised = np.isin(both, [*earlier, *group])
         information = marginal_information(A, both[penalised], both[~penalised])
         penalty[penalised] = ridge * np.diag(information)
     of_free = penalty[: len(free)]
@@ -109,7 +113,9 @@ def score(
         left_out.append(np.log(S0 / S1))
         held_gains.append((S0 - S1) / unit)
     p = min(1.0, many * float(chi2.sf(max(gain, 0.0), len(group))))
-    return Score(name, float(gain), p, step, np.asarray(left_out), np.asarray(held_gains))
+    whole = np.zeros(parameters)
+    whole[fitted] = step
+    return Score(name, float(gain), p, whole, np.asarray(left_out), np.asarray(held_gains))
 
 
 def blocks_at_null(

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import TankProblem
-from calibration.model.plan import BLOCK, TrialPlan
+from calibration.model.plan import BLOCK, TrialPlan, padded_times
 from slider_jax.actuation import rear_of
 from slider_jax.beam.equations import Section
 from slider_jax.dynamics.model import Model
@@ -19,6 +19,7 @@ from slider_jax.effects import Chamber
 from slider_jax.effects.dictionary.flow import FlowOfLaggedDifference
 from slider_jax.effects.functions import RigDrift, Sine
 from slider_jax.effects.library import DICTIONARY
+from slider_jax.programs import kept_once
 from slider_jax.simulation.trial import advance_chunk, run_chunks
 
 RARE = 0.005
@@ -46,8 +47,8 @@ def visited_states(
     The part is "body" or "tail", or "" for a term that has no parameter for each part. `readings`
     (channels, samples) are the predicted readings of the trial.
     """
-    t = jnp.asarray(plan.grid.times)
-    p, p_set = chamber_history(model, start_chambers(model), t).p, set_pressures(model, t).b1
+    t = np.asarray(plan.grid.times)
+    p, p_set = (x[: len(t) - 1] for x in _visited_chambers(model, jnp.asarray(padded_times(t))))
     chamber = Chamber(
         p, p_set, jnp.ones(()), rear_of(p.shape[-1]), jnp.sign(p), jnp.zeros((0, *p.shape))
     )
@@ -64,6 +65,13 @@ def visited_states(
         else:
             found[name] = _in_parts(term, sections, plan.grid.steps)
     return found
+
+
+@kept_once
+def _visited_chambers(model: Model, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Returns pressures and set pressures [Pa], each (n - 1, chambers), at the times t[1:] [s]."""
+    begin = start_chambers(model)
+    return chamber_history(model, begin, t).p, set_pressures(model, t).b1
 
 
 def _visited_sections(plan: TrialPlan, model: Model) -> list[Section]:

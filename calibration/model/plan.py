@@ -119,18 +119,26 @@ def extended_grid(t: np.ndarray, n: int) -> np.ndarray:
     return np.concatenate([t, t[-1] + (t[-1] - t[-2]) * np.arange(1.0, n - len(t) + 1.0)])
 
 
-def padded(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns times (N,) and series (..., N, channels), extended to one of few lengths N.
+def padded_times(t: np.ndarray) -> np.ndarray:
+    """Returns the times `t`, extended to one of few lengths N.
 
-    Trials of similar lengths then use the same compiled program. Beyond its end, a series keeps its
-    last value.
+    Trials of similar lengths then use the same compiled program.
     """
     n = LEAST_LENGTH
     while n < len(t):
         n *= 2
+    return extended_grid(t, n)
+
+
+def padded(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns `padded_times` (N,), and the series (..., N, channels) at these times.
+
+    Beyond its end, a series keeps its last value.
+    """
+    long = padded_times(t)
     width = [(0, 0)] * series.ndim
-    width[-2] = (0, n - len(t))
-    return extended_grid(t, n), np.pad(series, width, mode="edge")
+    width[-2] = (0, len(long) - len(t))
+    return long, np.pad(series, width, mode="edge")
 
 
 def at_samples(p: TrialPlan, series: np.ndarray) -> np.ndarray:
