@@ -47,8 +47,8 @@ def visited_states(
     The part is "body" or "tail", or "" for a term that has no parameter for each part. `readings`
     (channels, samples) are the predicted readings of the trial.
     """
-    t = np.asarray(plan.grid.times)
-    p, p_set = (x[: len(t) - 1] for x in _visited_chambers(model, jnp.asarray(padded_times(t))))
+    t = jnp.asarray(padded_times(np.asarray(plan.grid.times)))
+    p, p_set = (x[: plan.grid.steps] for x in _visited_chambers(model, t))
     chamber = Chamber(
         p, p_set, jnp.ones(()), rear_of(p.shape[-1]), jnp.sign(p), jnp.zeros((0, *p.shape))
     )
