@@ -15,6 +15,8 @@ MOST_PERIODS = 20
 determines the frequency of a faster sine."""
 PER_INTERVAL = 8
 """Number of tested frequencies per Fourier interval of the longest trial."""
+AT_ONCE = 16
+"""Number of frequencies whose sines are whitened at once, which limits the memory."""
 
 
 class SinePeak(NamedTuple):
@@ -60,21 +62,23 @@ def common_sine(series: Sequence[WhiteSeries], peak: float) -> tuple[float, floa
     longest = max(float(np.ptp(x.t)) for x in series)
     slow = np.arange(PER_INTERVAL, MOST_PERIODS * PER_INTERVAL + 1) / (PER_INTERVAL * longest)
     hertz, square = np.append(slow, peak), sum(float(x.residual @ x.residual) for x in series)
-    gains = [_gain(series, f) for f in hertz]
+    parts = [hertz[i : i + AT_ONCE] for i in range(0, len(hertz), AT_ONCE)]
+    gains = np.concatenate([_gains(series, part) for part in parts])
     best = int(np.argmax(gains))
     return float(gains[best]) / square, float(hertz[best])
 
 
-def _gain(series: Sequence[WhiteSeries], frequency: float) -> float:
-    """Returns the reduction of the sum of squares by a sine of this frequency [Hz]."""
-    A, b = np.zeros((2, 2)), np.zeros(2)
+def _gains(series: Sequence[WhiteSeries], hertz: np.ndarray) -> np.ndarray:
+    """Returns the reduction of the sum of squares by a sine of each frequency [Hz]."""
+    A, b = np.zeros((len(hertz), 2, 2)), np.zeros((len(hertz), 2, 1))
     for x in series:
-        turn = 2.0 * np.pi * frequency * x.t
-        white = x.whiten(x.envelope * np.stack([np.sin(turn), np.cos(turn)]))
-        A += white @ white.T
-        b += white @ x.residual
-    gain = float(b @ np.linalg.pinv(A, hermitian=True) @ b)
-    return gain if np.isfinite(gain) else 0.0
+        turn = 2.0 * np.pi * hertz[:, None] * x.t
+        rows = x.envelope * np.stack([np.sin(turn), np.cos(turn)], axis=1)
+        white = x.whiten(rows.reshape(-1, len(x.t))).reshape(rows.shape)
+        A += white @ white.mT
+        b += white @ x.residual[:, None]
+    gains = (b.mT @ np.linalg.pinv(A, hermitian=True) @ b)[:, 0, 0]
+    return np.where(np.isfinite(gains), gains, 0.0)
 
 
 def sine_peaks(part: TankProblem, fit: Fit, noise_floor: float) -> dict[tuple[str, bool], SinePeak]:

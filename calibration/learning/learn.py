@@ -42,6 +42,7 @@ from calibration.model.extended import Parameter
 from slider_jax.effects import Effect
 from slider_jax.effects.dictionary.details import DETAILS, REAR_PARTS
 from slider_jax.effects.library import DICTIONARY, LIBRARY
+from slider_jax.programs import return_freed_memory
 
 NOT_CONFIRMED = "other trials do not confirm the selected terms"
 VETOED = "the selected terms increase the error in the held-out trials"
@@ -150,6 +151,7 @@ def learn_terms(outcome: LoopOutcome, progress: Progress = lambda text: None) ->
         )
         return few
     assert isinstance(outcome.problem, TankProblem)
+    return_freed_memory()  # the dictionary needs other arrays than the loop
     scales = largest_states(outcome.problem.part(used), outcome.chosen)
     if doubtful:
         progress(f"testing whether a function replaces {', '.join(outcome.effects)}")

@@ -15,7 +15,7 @@ from slider_jax.beam.equations import Section
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.pressures import chamber_history, set_pressures, start_chambers
 from slider_jax.dynamics.step import Snapshot, at_rest
-from slider_jax.effects import Chamber
+from slider_jax.effects import Chamber, Readings
 from slider_jax.effects.dictionary.flow import FlowOfLaggedDifference
 from slider_jax.effects.functions import RigDrift, Sine
 from slider_jax.effects.library import DICTIONARY
@@ -47,31 +47,46 @@ def visited_states(
     The part is "body" or "tail", or "" for a term that has no parameter for each part. `readings`
     (channels, samples) are the predicted readings of the trial.
     """
-    t = jnp.asarray(padded_times(np.asarray(plan.grid.times)))
-    p, p_set = (x[: plan.grid.steps] for x in _visited_chambers(model, t))
-    chamber = Chamber(
-        p, p_set, jnp.ones(()), rear_of(p.shape[-1]), jnp.sign(p), jnp.zeros((0, *p.shape))
-    )
-    channels, found = plan.extended.channels, {}
-    true = dict(zip(channels, jnp.asarray(readings), strict=True))
-    read = channels.readings(jnp.asarray(plan.at), true)
-    local = any(x.place() not in (*OF_CHAMBERS, *OF_READINGS) for x in terms.values())
-    sections = _visited_sections(plan, model) if local else []
-    for name, term in terms.items():
-        if term.place() in OF_READINGS or isinstance(term, OF_TIME):
-            found[name] = {"": np.ravel(term.state(read))}
-        elif term.place() in OF_CHAMBERS:
-            found[name] = {"": np.ravel(term.state(chamber))}
-        else:
-            found[name] = _in_parts(term, sections, plan.grid.steps)
-    return found
+    of_readings = {
+        n: x for n, x in terms.items() if x.place() in OF_READINGS or isinstance(x, OF_TIME)
+    }
+    rest = {n: x for n, x in terms.items() if n not in of_readings}
+    of_chambers = {n: x for n, x in rest.items() if x.place() in OF_CHAMBERS}
+    local = {n: x for n, x in rest.items() if n not in of_chambers}
+    channels, steps = plan.extended.channels, plan.grid.steps
+    whole: dict[str, jax.Array] = {}
+    found = {}
+    if of_readings:
+        true = dict(zip(channels, jnp.asarray(readings), strict=True))
+        whole |= _states(of_readings, channels.readings(jnp.asarray(plan.at), true))
+    if of_chambers:
+        t = jnp.asarray(padded_times(np.asarray(plan.grid.times)))
+        visited = _states_of_chambers(of_chambers, model, t)
+        whole |= {name: z[:steps] for name, z in visited.items()}
+    if local:
+        sections = _visited_sections(plan, model)
+        parts = [_states(local, x) for x in sections]
+        for name, term in local.items():
+            z = np.concatenate([x[name] for x in parts])[:steps]
+            found[name] = _in_parts(term, z, sections[0])
+    return found | {name: {"": np.ravel(z)} for name, z in whole.items()}
 
 
 @kept_once
-def _visited_chambers(model: Model, t: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Returns pressures and set pressures [Pa], each (n - 1, chambers), at the times t[1:] [s]."""
-    begin = start_chambers(model)
-    return chamber_history(model, begin, t).p, set_pressures(model, t).b1
+def _states(terms: Mapping[str, Any], x: Readings | Section) -> dict[str, jax.Array]:
+    return {name: term.state(x) for name, term in terms.items()}
+
+
+@kept_once
+def _states_of_chambers(
+    terms: Mapping[str, Any], model: Model, t: jax.Array
+) -> dict[str, jax.Array]:
+    """Returns the states (n - 1, chambers) of terms of the chambers, at the times t[1:] [s]."""
+    p = chamber_history(model, start_chambers(model), t).p
+    p_set = set_pressures(model, t).b1
+    none = jnp.zeros((0, *p.shape))
+    x = Chamber(p, p_set, jnp.ones(()), rear_of(p.shape[-1]), jnp.sign(p), none)
+    return {name: term.state(x) for name, term in terms.items()}
 
 
 def _visited_sections(plan: TrialPlan, model: Model) -> list[Section]:
@@ -84,12 +99,12 @@ def _visited_sections(plan: TrialPlan, model: Model) -> list[Section]:
     return run_chunks(advance, at_rest(model, plan.numerics), plan.grid.steps, BLOCK)[0]
 
 
-def _in_parts(term: Any, sections: list[Section], steps: int) -> dict[str, np.ndarray]:
-    z = np.concatenate([term.state(x) for x in sections])[:steps]
+def _in_parts(term: Any, z: np.ndarray, section: Section) -> dict[str, np.ndarray]:
+    """Returns the states `z` (steps, cells) of a term by part of the robot."""
     if set(term.priors()) == set(PARTS):
-        tail = np.asarray(sections[0].in_tail[0]) > 0.5
+        tail = np.asarray(section.in_tail[0]) > 0.5
         return {"body": z[:, ~tail].ravel(), "tail": z[:, tail].ravel()}
-    acts = np.asarray(term.cells(sections[0])[0]) > 0.5
+    acts = np.asarray(term.cells(section)[0]) > 0.5
     return {"": z[:, acts].ravel()}
 
 
