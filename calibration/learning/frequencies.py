@@ -16,7 +16,8 @@ determines the frequency of a faster sine."""
 PER_INTERVAL = 8
 """Number of tested frequencies per Fourier interval of the longest trial."""
 AT_ONCE = 16
-"""Number of frequencies whose sines are whitened at once, which limits the memory."""
+"""Number of frequencies whose sines are whitened together. With 16, the search needs a fifth of the
+time, and an array of sines has 77 MB for 300,000 samples."""
 
 
 class SinePeak(NamedTuple):

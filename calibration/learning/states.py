@@ -31,6 +31,8 @@ OF_TIME = (RigDrift, Sine, FlowOfLaggedDifference)
 """Terms of other places that depend on the times of the readings."""
 OF_CHAMBERS = ("Command", "Flow", "ActingPressure")
 """Places whose other terms depend on the state of the chambers."""
+READINGS, CHAMBERS, SECTIONS = "readings", "chambers", "sections"
+"""Arguments of a term's state: the readings, the chambers, or the cells of the robot."""
 PARTS = ("body", "tail")
 """Parts of the robot that have their own parameter in some terms."""
 
@@ -47,65 +49,82 @@ def visited_states(
     The part is "body" or "tail", or "" for a term that has no parameter for each part. `readings`
     (channels, samples) are the predicted readings of the trial.
     """
-    of_readings = {
-        n: x for n, x in terms.items() if x.place() in OF_READINGS or isinstance(x, OF_TIME)
-    }
-    rest = {n: x for n, x in terms.items() if n not in of_readings}
-    of_chambers = {n: x for n, x in rest.items() if x.place() in OF_CHAMBERS}
-    local = {n: x for n, x in rest.items() if n not in of_chambers}
-    channels, steps = plan.extended.channels, plan.grid.steps
-    whole: dict[str, jax.Array] = {}
-    found = {}
-    if of_readings:
+    groups: dict[str, dict[str, Any]] = {READINGS: {}, CHAMBERS: {}, SECTIONS: {}}
+    for name, term in terms.items():
+        groups[_source(term)][name] = term
+    found: dict[str, dict[str, np.ndarray]] = {}
+    if groups[READINGS]:
+        channels = plan.extended.channels
         true = dict(zip(channels, jnp.asarray(readings), strict=True))
-        whole |= _states(of_readings, channels.readings(jnp.asarray(plan.at), true))
-    if of_chambers:
+        read = channels.readings(jnp.asarray(plan.at), true)
+        for name, z in _states(groups[READINGS], read).items():
+            found[name] = {"": np.ravel(z)}
+    if groups[CHAMBERS]:
         t = jnp.asarray(padded_times(np.asarray(plan.grid.times)))
-        visited = _states_of_chambers(of_chambers, model, t)
-        whole |= {name: z[:steps] for name, z in visited.items()}
-    if local:
-        sections = _visited_sections(plan, model)
-        parts = [_states(local, x) for x in sections]
-        for name, term in local.items():
-            z = np.concatenate([x[name] for x in parts])[:steps]
-            found[name] = _in_parts(term, z, sections[0])
-    return found | {name: {"": np.ravel(z)} for name, z in whole.items()}
+        p, p_set = _visited_chambers(model, t)
+        rear, none = rear_of(p.shape[-1]), jnp.zeros((0, *p.shape))
+        chamber = Chamber(p, p_set, jnp.ones(()), rear, jnp.sign(p), none)
+        for name, z in _states(groups[CHAMBERS], chamber).items():
+            found[name] = {"": np.ravel(z[: plan.grid.steps])}
+    if groups[SECTIONS]:
+        section, blocks = _states_along(plan, model, groups[SECTIONS])
+        for name, term in groups[SECTIONS].items():
+            z = np.concatenate([x.pop(name) for x in blocks])[: plan.grid.steps]
+            found[name] = _in_parts(term, z, section)
+    return found
+
+
+def _source(term: Any) -> str:
+    """Returns what the state of a term depends on."""
+    if term.place() in OF_READINGS or isinstance(term, OF_TIME):
+        return READINGS
+    return CHAMBERS if term.place() in OF_CHAMBERS else SECTIONS
 
 
 @kept_once
-def _states(terms: Mapping[str, Any], x: Readings | Section) -> dict[str, jax.Array]:
+def _states(terms: Mapping[str, Any], x: Readings | Chamber | Section) -> dict[str, jax.Array]:
+    """Returns the state of each term (effects by name) at all times of `x`."""
     return {name: term.state(x) for name, term in terms.items()}
 
 
 @kept_once
-def _states_of_chambers(
-    terms: Mapping[str, Any], model: Model, t: jax.Array
-) -> dict[str, jax.Array]:
-    """Returns the states (n - 1, chambers) of terms of the chambers, at the times t[1:] [s]."""
-    p = chamber_history(model, start_chambers(model), t).p
-    p_set = set_pressures(model, t).b1
-    none = jnp.zeros((0, *p.shape))
-    x = Chamber(p, p_set, jnp.ones(()), rear_of(p.shape[-1]), jnp.sign(p), none)
-    return {name: term.state(x) for name, term in terms.items()}
+def _visited_chambers(model: Model, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Returns pressures and set pressures [Pa], each (n - 1, chambers), at the times t[1:] [s]."""
+    return chamber_history(model, start_chambers(model), t).p, set_pressures(model, t).b1
 
 
-def _visited_sections(plan: TrialPlan, model: Model) -> list[Section]:
+def _states_along(
+    plan: TrialPlan, model: Model, terms: Mapping[str, Any]
+) -> tuple[Section, list[dict[str, jax.Array]]]:
+    """Returns the first section, and the states (steps, cells) of `terms` in each block of steps.
+
+    Only the states of a block are kept, and not its sections, which need more memory.
+    """
     h = jnp.asarray(plan.grid.h)
+    first: list[Section] = []
 
     def advance(done: int, carry):
         t0 = jnp.asarray(plan.grid.h * done)
-        return advance_chunk(model, h, t0, carry, _section, plan.numerics, plan.scheme, BLOCK)
+        sections, carry = advance_chunk(
+            model, h, t0, carry, _section, plan.numerics, plan.scheme, BLOCK
+        )
+        if not first:
+            first.append(jax.tree.map(lambda x: x[0], sections))
+        return _states(terms, sections), carry
 
-    return run_chunks(advance, at_rest(model, plan.numerics), plan.grid.steps, BLOCK)[0]
+    blocks = run_chunks(advance, at_rest(model, plan.numerics), plan.grid.steps, BLOCK)[0]
+    return first[0], blocks
 
 
 def _in_parts(term: Any, z: np.ndarray, section: Section) -> dict[str, np.ndarray]:
-    """Returns the states `z` (steps, cells) of a term by part of the robot."""
+    """Returns the states `z` (steps, cells) of a term by part of the robot.
+
+    `section` says which cells are in the tail, and in which cells the term acts.
+    """
     if set(term.priors()) == set(PARTS):
-        tail = np.asarray(section.in_tail[0]) > 0.5
+        tail = np.asarray(section.in_tail) > 0.5
         return {"body": z[:, ~tail].ravel(), "tail": z[:, tail].ravel()}
-    acts = np.asarray(term.cells(section)[0]) > 0.5
-    return {"": z[:, acts].ravel()}
+    return {"": z[:, np.asarray(term.cells(section)) > 0.5].ravel()}
 
 
 def largest_states(problem: TankProblem, fit: Fit) -> dict[str, float]:

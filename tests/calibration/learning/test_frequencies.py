@@ -38,3 +38,17 @@ def test_a_fast_sine_is_found_at_the_peak_of_one_trial():
     rng = np.random.default_rng(2)
     _, found = common_sine([series(rng, 2.0, 31.0, NOISE) for _ in range(3)], 31.0)
     assert found == 31.0
+
+
+def test_the_share_of_a_sine_that_multiplies_readings_is_that_of_least_squares():
+    rng, trials = np.random.default_rng(3), []
+    for seconds in (1.0, 1.3, 2.0):
+        x = series(rng, seconds, 1.2, NOISE)
+        trials.append(x._replace(envelope=1.0 + x.t**2))
+    share, hertz = common_sine(trials, 5.0)
+    turn = 2.0 * np.pi * hertz * np.concatenate([x.t for x in trials])
+    envelope = np.concatenate([x.envelope for x in trials])
+    y = np.concatenate([x.residual for x in trials])
+    rows = envelope[:, None] * np.stack([np.sin(turn), np.cos(turn)], axis=1) / NOISE
+    left = np.linalg.lstsq(rows, y)[1][0]
+    assert share == pytest.approx(1.0 - left / (y @ y), rel=1e-9)
