@@ -98,7 +98,7 @@ def _states_along(
 ) -> tuple[Section, list[dict[str, jax.Array]]]:
     """Returns the first section, and the states (steps, cells) of `terms` in each block of steps.
 
-    Only the states of a block are kept, and not its sections, which need more memory.
+    The sections of the other blocks are not kept.
     """
     h = jnp.asarray(plan.grid.h)
     first: list[Section] = []
