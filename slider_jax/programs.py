@@ -42,6 +42,8 @@ FOLDER = "slider_jax_programs"
 """Name of the folder in the folder of JAX's cache."""
 UNUSED_DAYS = 14.0
 """Programs of source files that no command used for this time [days] are deleted."""
+_M_MMAP_THRESHOLD = -3
+"""The option of `mallopt` in malloc.h."""
 _VERSION = re.compile(r"[0-9a-f]{16}")
 _FUNCTION = re.compile(r"(<function .*?) at 0x[0-9a-f]+>")
 _folders: list[Path] = []
@@ -135,6 +137,16 @@ def return_freed_memory() -> None:
     """
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
+
+
+def return_large_arrays() -> None:
+    """From now on, each array of at least 4 MiB returns its memory when it is freed.
+
+    By default, GNU libc keeps memory that arrays of up to 32 MiB freed. With another C library,
+    this function does nothing.
+    """
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 2**22)
 
 
 def _version() -> str:

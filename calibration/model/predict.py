@@ -12,7 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibration.model.compiled import LONG, compiled_batch, in_batches, stacked, structure_of
+from calibration.model.compiled import (
+    LONG,
+    compiled_batch,
+    in_batches,
+    slices,
+    stacked,
+    structure_of,
+)
 from calibration.model.extended import ExtendedModel, Part, PartialModel, acting_part, whole_part
 from calibration.model.plan import (
     BLOCK,
@@ -155,7 +162,14 @@ def compile_readings(p: TrialPlan, theta: np.ndarray) -> None:
 def _predict(pairs: Sequence[tuple[TrialPlan, np.ndarray]], part_of: PartOf) -> list[np.ndarray]:
     histories = pressure_histories(pairs, part_of)
     bodies = body_readings(pairs, histories, part_of)
-    return _sensor_readings(pairs, histories, bodies, part_of)
+    values = [
+        len(p.extended.channels) * (len(x.series) + len(h.sampled))
+        for (p, _), h, x in zip(pairs, histories, bodies, strict=True)
+    ]
+    found = []
+    for here in slices(len(pairs), max(values, default=0)):  # limits the memory of long trials
+        found += _sensor_readings(pairs[here], histories[here], bodies[here], part_of)
+    return found
 
 
 def pressure_histories(

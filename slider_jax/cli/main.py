@@ -25,6 +25,7 @@ def usage(group: str = "") -> str:
 def prepare_jax() -> None:
     """Enables float64, and keeps compiled programs in the user's cache folder between runs.
 
+    Large arrays return their memory when they are freed.
     `JAX_COMPILATION_CACHE_DIR` sets another folder. `SLIDER_CACHE=off` disables the cache.
     """
     # During long compilations XLA logs a warning that looks like an error. Real errors are raised.
@@ -32,8 +33,10 @@ def prepare_jax() -> None:
     # Commands give each core a thread of their own. Further threads of BLAS would only compete.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from slider_jax.precision import enable_float64
+    from slider_jax.programs import return_large_arrays
 
     enable_float64()
+    return_large_arrays()
     if os.environ.get("SLIDER_CACHE") == "off":
         return
     import jax

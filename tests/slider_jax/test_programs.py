@@ -1,6 +1,9 @@
 """Compiled programs in files: a later process loads them, and no program of other sources."""
 
 import os
+import platform
+import subprocess
+import sys
 import time
 
 import jax
@@ -214,3 +217,35 @@ def test_a_program_of_the_cache_of_jax_is_compiled_again(folder):
 def later_cube():
     with kept_programs():
         np.testing.assert_array_equal(stored_once(cubed)(jnp.ones(3)), 1.625 * np.ones(3))
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="needs GNU libc")
+def test_large_arrays_return_their_memory():
+    """The first freed array makes GNU libc keep the next ones, with a small array between them."""
+    code = """
+import gc, sys
+import numpy as np
+from slider_jax.programs import return_large_arrays
+
+def memory():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096 / 2**20
+
+if sys.argv[1] == "returned":
+    return_large_arrays()
+np.ones(2**21)
+before = memory()
+arrays, small = [], []
+for _ in range(20):
+    arrays.append(np.ones(2**20))
+    small.append(np.ones(2**10))
+del arrays
+print(memory() - before)
+"""
+    kept, returned = (float(_output_of(code, x)) for x in ("kept", "returned"))
+    assert kept > 100.0 and returned < 20.0
+
+
+def _output_of(code: str, *arguments: str) -> str:
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout

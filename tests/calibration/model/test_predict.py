@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calibration.model import compiled, predict
 from calibration.model.compiled import LONG, in_batches
 from calibration.model.extended import Part, acting_part, base_values, base_vector, model_parameters
 from calibration.model.plan import Resolution, plan_trial
@@ -79,6 +80,32 @@ def test_trials_with_the_same_pressures_share_one_simulation_of_the_pressures(mo
     histories = pressure_histories([(p, theta), (p, soft), (p, other)])
     assert jobs == [2]
     assert histories[0] is histories[1] and histories[0] is not histories[2]
+
+
+def test_readings_of_long_trials_are_computed_in_parts(monkeypatch):
+    """The parts limit the memory, and the readings stay the same."""
+    given = experiment.load(ROOT / "docs" / "experiment.toml")
+    names = ("force_crosstalk",)
+    p = plan_trial(given, given.trials[0], names, Resolution(11, 40, 5e-3), SPACING * np.arange(50))
+    entries = model_parameters(names)
+    thetas = [base_vector(entries, base_values(given)) for _ in range(3)]
+    for share, theta in zip((0.1, 0.2, 0.3), thetas, strict=True):
+        theta[-1] += share * (entries[-1].prior.high - theta[-1])
+    pairs, lengths = [(p, theta) for theta in thetas], []
+
+    def counted(jobs):
+        lengths.append(len(jobs))
+        return recorded_each(jobs)
+
+    recorded_each = predict._recorded_each
+    monkeypatch.setattr(predict, "_recorded_each", counted)
+    together = predict_each(pairs)
+    monkeypatch.setattr(compiled, "MOST_VALUES", 1)
+    apart = predict_each(pairs)
+    assert lengths == [6, 2, 2, 2]
+    for one, other in zip(apart, together, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(other).max())
+    assert not np.allclose(together[0], together[2])
 
 
 def test_batches_hold_items_of_one_kind_and_keep_the_order():
