@@ -142,7 +142,7 @@ def return_freed_memory() -> None:
 def return_large_arrays() -> None:
     """From now on, each array of at least 4 MiB returns its memory when it is freed.
 
-    By default, GNU libc keeps memory that arrays of up to 32 MiB freed. With another C library,
+    By default, GNU libc keeps the memory of freed arrays of up to 32 MiB. With another C library,
     this function does nothing.
     """
     with suppress(OSError, AttributeError, TypeError):

@@ -25,8 +25,8 @@ def usage(group: str = "") -> str:
 def prepare_jax() -> None:
     """Enables float64, and keeps compiled programs in the user's cache folder between runs.
 
-    Large arrays return their memory when they are freed.
-    `JAX_COMPILATION_CACHE_DIR` sets another folder. `SLIDER_CACHE=off` disables the cache.
+    `JAX_COMPILATION_CACHE_DIR` sets another folder. `SLIDER_CACHE=off` disables the cache. Large
+    arrays return their memory when they are freed.
     """
     # During long compilations XLA logs a warning that looks like an error. Real errors are raised.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")

@@ -223,13 +223,13 @@ def later_cube():
 def test_large_arrays_return_their_memory():
     """The first freed array makes GNU libc keep the next ones, with a small array between them."""
     code = """
-import gc, sys
+import os, sys
 import numpy as np
 from slider_jax.programs import return_large_arrays
 
 def memory():
     with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * 4096 / 2**20
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 if sys.argv[1] == "returned":
     return_large_arrays()
