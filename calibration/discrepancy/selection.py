@@ -71,9 +71,8 @@ def select_effects(
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
     first = fit_gauss_newton(problem.on_coarse_mesh(), entries, theta, free, progress, exact=False)
-    white = problem.whiteners(first.predicted)
-    base = fit_gauss_newton(problem, entries, first.theta, free, progress, white, exact=False)
-    refits = Refits(problem, entries, white, progress, settings)
+    refits = Refits(problem, entries, problem.whiteners(first.predicted), progress, settings)
+    base = refits.fit(first.theta, free)
     found = Selection(base, base, [], [], settings, entries, discrepancies=problem.discrepancies)
     if problem.mesh_ratio > 1.0 and base.converged:
         coarse = [x[0] for x in problem.coarse([base.theta])]

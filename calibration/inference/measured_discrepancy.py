@@ -42,6 +42,7 @@ from calibration.inference.noise import (
     DISCREPANCY_TIME,
     Whitener,
     discrepancy_correlation,
+    discrepancy_memory,
 )
 from calibration.inference.problem import AbstractProblem
 from slider_jax.channels import Channel
@@ -180,7 +181,8 @@ def _series_error(
     step = np.minimum((late[here] % period / period * count).astype(int), count - 1)
     middle = (np.arange(count) + 0.5) * period / count
     gap = np.abs(middle[:, None] - middle)
-    values, vectors = eigh(discrepancy_correlation(gap, frequency if repeats else None))
+    memory = discrepancy_memory(t, frequency) if frequency else np.inf
+    values, vectors = eigh(discrepancy_correlation(gap, frequency if repeats else None, memory))
     curves = float(np.std(model)) * np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     white = whiten(curves[:, step])
     sizes, turn = eigh(white @ white.T)

@@ -21,9 +21,12 @@ DISCREPANCY_TIME = 0.02
 """Correlation time of the model-discretisation discrepancy within a stride [s]. It depends on the
 beam, not on the drive."""
 DISCREPANCY_STRIDES = 10.0
-"""Number of strides in which the discrepancy's correlation decreases to 1/e. The measured
+"""Least number of strides in which the discrepancy's correlation decreases to 1/e. The measured
 correlation of successive strides is 0.86 to 0.94. A mean over strides therefore hardly reduces the
 discrepancy."""
+DISCREPANCY_SHARE = 0.5
+"""Least share of a trial in which the discrepancy's correlation decreases to 1/e. In trials of 60
+to 120 s, 96 to 100 % of the discrepancy's power repeats in each stride until the end."""
 WHOLE = 1000
 """A series with at most this number of samples is whitened as one block, with the exact covariance.
 A larger block needs more time and memory than a filter with many states. With 2500 samples, a block
@@ -35,7 +38,7 @@ MAX_HARMONICS = 128
 """Largest number of the drive's harmonics in the state that links the blocks."""
 LINK_LIMIT = 0.3
 """The filter carries a harmonic from block to block only if a ratio exceeds this limit. The ratio
-is the harmonic's variance, times the number of samples in `DISCREPANCY_STRIDES` strides, divided by
+is the harmonic's variance, times the number of samples in `discrepancy_memory`, divided by
 the variance of the white noise."""
 PHASES = 2**14
 """Number of phases at which the discrepancy's correlation is evaluated for its harmonics."""
@@ -51,6 +54,10 @@ own error is about ten times as large."""
 SETTLED = 1e-9
 """The covariance of the state counts as constant if its change is below this fraction of the prior
 covariance."""
+ALIKE = 1e-3
+"""Blocks share a gain if the covariances of their readings differ by less than this (Frobenius
+norm), where the noise with known state has unit variance. This reduces the 1172 gains of a pressure
+in 600 s to 83."""
 
 
 class Noise(NamedTuple):
@@ -148,6 +155,7 @@ class StationaryWhitener:
         # Without white noise, rounding errors could make the covariance of a block indefinite.
         self._white = np.maximum(variance, 1e-12 * (noise.slow**2 + scale**2))
         self._t, self._noise, self._scale, self._frequency = t, noise, scale, frequency
+        self._memory = discrepancy_memory(t, frequency) if frequency else np.inf
         self._modes = _Modes.of(t, noise, scale, frequency, float(np.median(self._white)))
         self._edges = [*range(0, len(t), _block_length(len(t))), len(t)]
         numbers = range(len(self._edges) - 1)
@@ -200,11 +208,12 @@ class StationaryWhitener:
     def _covariance(self, gap: np.ndarray) -> np.ndarray:
         """Returns the covariance of two readings at times that differ by `gap` [s]."""
         slow = self._noise.slow**2 * np.exp(-gap / self._noise.slow_time)
-        return slow + self._scale**2 * discrepancy_correlation(gap, self._frequency)
+        repeats = discrepancy_correlation(gap, self._frequency, self._memory)
+        return slow + self._scale**2 * repeats
 
     def _filter(self) -> list["_Gain"]:
         """Returns the gain of every block by the recursion of the state's covariance."""
-        state = np.eye(len(self._modes.rate))
+        state = shared = np.eye(len(self._modes.rate))
         gains: list[_Gain] = []
         settled = None
         for number in range(len(self._edges) - 1):
@@ -212,8 +221,13 @@ class StationaryWhitener:
             if settled is not None and b is self._regular:
                 gains.append(settled)
                 continue
-            gains.append(_Gain.of(state, b.seen))
-            after = gains[-1].covariance(b)
+            own = _Gain.of(state, b.seen)
+            if gains and b is self._regular and _change(b, state - shared) < ALIKE:
+                gains.append(gains[-1])
+            else:
+                gains.append(own)
+                shared = state
+            after = own.covariance(b)
             change = float(np.abs(after - state).max())
             settled = gains[-1] if b is self._regular and change < SETTLED else None
             state = after
@@ -316,15 +330,15 @@ class _Modes(NamedTuple):
             single = [[scale], [1.0 / DISCREPANCY_TIME], [0.0], [0.0], [0.0]]
             return cls(*np.hstack([slow, single]))
         phases = np.arange(PHASES) / PHASES / frequency
-        lag = discrepancy_correlation(phases, frequency)
-        share = np.fft.rfft(lag * np.exp(phases * frequency / DISCREPANCY_STRIDES)).real / PHASES
+        share = np.fft.rfft(discrepancy_correlation(phases, frequency, np.inf)).real / PHASES
         share = np.maximum(share[: MAX_HARMONICS + 1], 0.0)
         share[1:] *= 2.0
-        readings = DISCREPANCY_STRIDES / frequency * len(t) / max(t[-1] - t[0], 1e-12)
+        memory = discrepancy_memory(t, frequency)
+        readings = memory * len(t) / max(t[-1] - t[0], 1e-12)
         count = 1 + int(np.sum(share[1:] * scale**2 * readings > LINK_LIMIT * white))
         order = np.arange(count)
         size, omega = scale * np.sqrt(share[:count]), 2.0 * np.pi * frequency * order
-        rate = np.full(count, frequency / DISCREPANCY_STRIDES)
+        rate = np.full(count, 1.0 / memory)
         cosines = np.stack([size, rate, omega, np.zeros(count), order])
         sines = np.stack([size, rate, omega, np.full(count, -0.5 * np.pi), order])[:, 1:]
         return cls(*np.hstack([slow, cosines, sines]))
@@ -406,13 +420,32 @@ class _Gain(NamedTuple):
         return (basis * self.keep.T) @ basis.T + fresh
 
 
-def discrepancy_correlation(lag: np.ndarray, frequency: float | None) -> np.ndarray:
+def _change(b: _Block, change: np.ndarray) -> float:
+    """Returns how much the whitened readings' covariance changes with the state's (r, r)."""
+    product = change @ (b.seen.T @ b.seen)
+    return float(np.sqrt(np.maximum(np.sum(product * product.T), 0.0)))
+
+
+def discrepancy_memory(t: np.ndarray, frequency: float) -> float:
+    """Returns the time [s] in which the correlation of strides decreases to 1/e.
+
+    `t` (n,) [s] are the sample times. The time is `DISCREPANCY_STRIDES` strides, or the fraction
+    `DISCREPANCY_SHARE` of the trial if this is longer.
+    """
+    trial = float(t[-1] - t[0]) if len(t) else 0.0
+    return max(DISCREPANCY_STRIDES / frequency, DISCREPANCY_SHARE * trial)
+
+
+def discrepancy_correlation(
+    lag: np.ndarray, frequency: float | None, memory: float = np.inf
+) -> np.ndarray:
     """Returns the correlation of the model-discretisation discrepancy at a time `lag` [s].
 
     Within a stride, the correlation decreases exponentially with the chord between two phases on a
-    circle. The correlation is high again after each stride, but lower with every further stride.
+    circle. The correlation is high again after each stride, but lower with every further stride. It
+    decreases to 1/e in the time `memory` [s]. Without a frequency, `memory` is ignored.
     """
     if not frequency:
         return np.exp(-lag / DISCREPANCY_TIME)
     chord = np.abs(np.sin(np.pi * frequency * lag)) / (np.pi * frequency)
-    return np.exp(-chord / DISCREPANCY_TIME - lag * frequency / DISCREPANCY_STRIDES)
+    return np.exp(-chord / DISCREPANCY_TIME - lag / memory)

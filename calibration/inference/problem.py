@@ -94,6 +94,21 @@ def normal_equations(
     return [block(key, r) for key, r in residuals.items()]
 
 
+def trial_equations(
+    residuals: dict[tuple[int, str], np.ndarray], J: dict[tuple[int, str], np.ndarray]
+) -> list[ChannelBlock]:
+    """Returns the sums of `normal_equations` over the channels of each trial; channel is ""."""
+    found: dict[int, ChannelBlock] = {}
+    for key, r in residuals.items():
+        (x,) = normal_equations({key: r}, J)
+        before = found.get(x.trial)
+        if before is not None:
+            A, b = summed([before, x])
+            x = ChannelBlock(x.trial, "", A, b, before.c + x.c, before.n + x.n)
+        found[x.trial] = x._replace(channel="")
+    return list(found.values())
+
+
 def products(J: np.ndarray, r: np.ndarray) -> np.ndarray:
     """Returns J r of derivatives J (k, n) and a residual r (n,), with double precision."""
     found = np.zeros(len(J))
@@ -224,6 +239,10 @@ class AbstractProblem(ABC):
             return key, Whitener(t, noise, model, frequency, swings, stationary)
 
         return dict(on_all_cores(one, list(self.noise)))
+
+    def release_whiteners(self) -> None:
+        """Frees the memory of the stored whiteners. `whiteners` makes new ones when necessary."""
+        self._stationary.clear()
 
     def residuals(
         self, predicted: list[np.ndarray], white: dict[tuple[int, str], Whitener]

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
-from calibration.discrepancy.refits import Refits, effect_tangents
+from calibration.discrepancy.refits import Refits, Tangents, effect_tangents
 from calibration.discrepancy.rounds import scoring_entries
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
@@ -140,6 +140,7 @@ class Dictionary:
         """Returns the result at each place from the readings of the selection."""
         used = self.outcome.used_trials
         problem, predicted = self.problem.part(used).during(in_selection), self.start.predicted
+        self.problem.release_whiteners()  # With 50 trials, they need 0.6 GB.
         theta, free = self.start.theta, self.start.free
         white = problem.whiteners(predicted)
         residuals = problem.residuals(predicted, white)
@@ -148,7 +149,11 @@ class Dictionary:
         settings = self.outcome.search.settings
         refits = Refits(problem, self.entries, white, progress, settings)
         tangents = effect_tangents(problem, self.entries, theta, free, settings)
-        J = problem.whitened(tangents, white, in_place=True)
+        J: Tangents = {}
+        for i in range(len(tangents)):  # The tangents also contain all other readings.
+            of_trial = {key: x for key, x in white.items() if key[0] == i}
+            J |= problem.whitened(tangents, of_trial)
+            tangents[i] = np.empty(0)
         return place_gains(refits, start, self.places, J)
 
 

@@ -19,7 +19,7 @@ from calibration.discrepancy.rounds import agreement
 from calibration.discrepancy.scores import Score, score
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.gauss_newton import Fit, inverse, marginal_information
-from calibration.inference.problem import ChannelBlock, normal_equations, summed
+from calibration.inference.problem import ChannelBlock, summed, trial_equations
 from calibration.measurements.records import Record
 
 MAX_GROUPS = 3
@@ -147,7 +147,7 @@ def pursue(
     while len(chosen) < MAX_GROUPS:
         residuals = refits.problem.residuals(current.predicted, refits.white)
         rest = {name: x for name, x in groups.items() if name not in chosen}
-        blocks = normal_equations(residuals, J)
+        blocks = trial_equations(residuals, J)
         earlier = [i for name in chosen for i in groups[name]]
         scores = _short_list(refits, current, rest, blocks, many, earlier)
         lanes = [(x, share) for _, x in scores[:SHORT_LIST] for share in START_SHARES]
@@ -182,11 +182,12 @@ def place_gains(
     """
     many = sum(len(groups) for groups in places.values())
     residuals = refits.problem.residuals(start.predicted, refits.white)
-    blocks = normal_equations(residuals, J)
+    blocks = trial_equations(residuals, J)
     first = {
         place: max((x for x, _ in _short_list(refits, start, groups, blocks, many)), default=0.0)
         for place, groups in places.items()
     }
+    del blocks  # With 250 parameters and 50 trials, they need 25 MB.
     best = sorted(first, key=lambda place: -first[place])
     tried = [place for place in best[:MAX_PLACES] if first[place] > 0.0]
     found = [pursue(refits, start, place, places[place], J, many) for place in tried]

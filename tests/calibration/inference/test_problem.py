@@ -8,7 +8,7 @@ from calibration.discrepancy.refits import Refits
 from calibration.inference import problem
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit
-from calibration.inference.problem import TankProblem, normal_equations
+from calibration.inference.problem import TankProblem, normal_equations, summed, trial_equations
 from calibration.measurements.records import Record
 from calibration.model import compiled
 from calibration.model.plan import Resolution
@@ -155,6 +155,22 @@ def test_normal_equations_of_single_precision_derivatives_have_double_precision(
     (parts,) = normal_equations({(0, "tip"): r}, {(0, "tip"): J})
     np.testing.assert_allclose(parts.A, found.A, rtol=1e-13)
     np.testing.assert_allclose(parts.b, found.b, rtol=1e-9)
+
+
+def test_the_equations_of_a_trial_are_the_sum_over_its_channels():
+    rng = np.random.default_rng(1)
+    keys = [(0, "tip"), (1, "tip"), (0, "thrust"), (0, "recoil")]
+    residuals = {key: rng.normal(size=20 + i) for i, key in enumerate(keys)}
+    J = {key: rng.normal(size=(3, len(r))) for key, r in residuals.items()}
+    of_channels = normal_equations(residuals, J)
+    found = trial_equations(residuals, J)
+    assert [(x.trial, x.n) for x in found] == [(0, 20 + 22 + 23), (1, 21)]
+    for x in found:
+        own = [y for y in of_channels if y.trial == x.trial]
+        A, b = summed(own)
+        np.testing.assert_allclose(x.A, A)
+        np.testing.assert_allclose(x.b, b)
+        assert np.isclose(x.c, sum(y.c for y in own))
 
 
 def test_problems_of_different_trials_share_the_cache_of_each_trial(monkeypatch, tmp_path):
