@@ -222,7 +222,7 @@ class StationaryWhitener:
                 gains.append(settled)
                 continue
             own = _Gain.of(state, b.seen)
-            if gains and b is self._regular and _change(b, state - shared) < ALIKE:
+            if gains and b is self._regular and _change_of_readings(b, state - shared) < ALIKE:
                 gains.append(gains[-1])
             else:
                 gains.append(own)
@@ -420,8 +420,11 @@ class _Gain(NamedTuple):
         return (basis * self.keep.T) @ basis.T + fresh
 
 
-def _change(b: _Block, change: np.ndarray) -> float:
-    """Returns how much the whitened readings' covariance changes with the state's (r, r)."""
+def _change_of_readings(b: _Block, change: np.ndarray) -> float:
+    """Returns the Frobenius norm of the change of the readings' covariance, whitened by `b.root`.
+
+    `change` (r, r) is the change of the state's covariance.
+    """
     product = change @ (b.seen.T @ b.seen)
     return float(np.sqrt(np.maximum(np.sum(product * product.T), 0.0)))
 

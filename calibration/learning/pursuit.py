@@ -187,7 +187,6 @@ def place_gains(
         place: max((x for x, _ in _short_list(refits, start, groups, blocks, many)), default=0.0)
         for place, groups in places.items()
     }
-    del blocks  # With 250 parameters and 50 trials, they need 25 MB.
     best = sorted(first, key=lambda place: -first[place])
     tried = [place for place in best[:MAX_PLACES] if first[place] > 0.0]
     found = [pursue(refits, start, place, places[place], J, many) for place in tried]
