@@ -225,6 +225,25 @@ def acting_part(
     return _with_effects(extended, part, theta, [n for n in names if n not in omitted])
 
 
+def is_at_null(extended: ExtendedModel, theta: np.ndarray) -> bool:
+    """Returns whether all effects of the model are at their null."""
+    return not any(map(_is_moved, model_parameters(extended.effects), theta))
+
+
+def changed_part(
+    extended: ExtendedModel, part: Part, theta: np.ndarray, directions: np.ndarray
+) -> PartialModel:
+    """Returns the model with the effects of a part that `directions` (k, entries) change.
+
+    All effects are at their null (`is_at_null`). The time of a direction grows with the number of
+    effects in the model, but every set of effects needs a program of its own.
+    """
+    entries = model_parameters(extended.effects)
+    acting = {entries[i].effect for i in np.flatnonzero(directions.any(axis=0))}
+    names = [name for name in _names(extended, part) if name in acting]
+    return _with_effects(extended, part, theta, names)
+
+
 def whole_part(extended: ExtendedModel, part: Part, theta: np.ndarray) -> PartialModel:
     """Returns the model with all effects of a part, and without the effects of the other parts."""
     return _with_effects(extended, part, theta, _names(extended, part))

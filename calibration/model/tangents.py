@@ -4,6 +4,7 @@ As in `predict`, the pressures, the robot and the sensors have separate programs
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import numpy as np
@@ -20,6 +21,8 @@ from calibration.model.extended import (
     Part,
     PartialModel,
     acting_part,
+    changed_part,
+    is_at_null,
     model_parameters,
 )
 from calibration.model.plan import (
@@ -48,6 +51,8 @@ from slider_jax.dynamics.time_schemes import Scheme
 from slider_jax.effects.library import KNOWN_EFFECTS
 from slider_jax.programs import compiled_once
 from slider_jax.simulation.trial import run_chunks
+
+PartOf = Callable[[ExtendedModel, Part, np.ndarray, np.ndarray], PartialModel]
 
 
 @compiled_once
@@ -89,21 +94,27 @@ def reading_tangents(
     The tangents of all channels, also of the pressures, are interpolated between time steps. The
     result has the type `dtype`. Directions of zeros need no time, and almost no memory.
     """
+    at_null = is_at_null(p.extended, theta)
     pressures = _moves(p.extended, Part.PRESSURES, directions)
     moves = pressures | _moves(p.extended, Part.BODY, directions)
     found: np.ndarray = np.zeros((len(directions), len(p.extended.channels), len(p.at)), dtype)
     ideal: list[np.ndarray] = []
 
-    def along(d: np.ndarray) -> np.ndarray:
-        body = acting_part(p.extended, Part.BODY, theta, d)
+    def along(d: np.ndarray, part_of: PartOf) -> np.ndarray:
+        body = part_of(p.extended, Part.BODY, theta, d)
         state = _begin_along(body.extended, body.theta, d[:, body.entries], p.numerics)
-        series, d_series = _ideal_tangents(p, theta, d, body, state, dtype=dtype)
+        series, d_series = _ideal_tangents(p, theta, d, body, state, dtype=dtype, part_of=part_of)
         ideal[:] = [series]
-        return _recorded_tangents(p, theta, d, series, d_series, dtype)
+        return _recorded_tangents(p, theta, d, series, d_series, dtype, part_of)
 
-    def along_sensors(d: np.ndarray) -> np.ndarray:
+    def along_sensors(d: np.ndarray, part_of: PartOf) -> np.ndarray:
         still = np.zeros((len(d), *ideal[0].shape), dtype)
-        return _recorded_tangents(p, theta, d, ideal[0], still, dtype)
+        return _recorded_tangents(p, theta, d, ideal[0], still, dtype, part_of)
+
+    def set_along(function: Callable, chosen: np.ndarray, rows: int) -> None:
+        # If there are several calls, each contains only the effects that its directions change.
+        part_of = changed_part if at_null and len(chosen) > rows else acting_part
+        _set_along(found, partial(function, part_of=part_of), directions, chosen, rows)
 
     # A call with directions of one kind omits effects of the other kind. With equal numbers of
     # rows, both calls share the programs in which no effect differs.
@@ -111,13 +122,13 @@ def reading_tangents(
     kinds = [x for x in kinds if x.any()]
     rows = max((rows_per_call(int(x.sum())) for x in kinds), default=0)
     for kind in kinds:
-        _set_along(found, along, directions, np.flatnonzero(kind), rows)
+        set_along(along, np.flatnonzero(kind), rows)
     sensors = np.flatnonzero(~moves & directions.any(axis=1))
     if sensors.size:
         if not ideal:
             history = pressure_histories([(p, theta)])
             ideal[:] = [body_readings([(p, theta)], history)[0].series]
-        _set_along(found, along_sensors, directions, sensors)
+        set_along(along_sensors, sensors, rows_per_call(len(sensors)))
     return found
 
 
@@ -126,7 +137,7 @@ def _set_along(
     function: Callable[[np.ndarray], np.ndarray],
     directions: np.ndarray,
     chosen: np.ndarray,
-    rows: int | None = None,
+    rows: int,
 ) -> None:
     """Sets the `chosen` rows of `found` to `function` of the `directions`.
 
@@ -179,6 +190,7 @@ def _ideal_tangents(
     state: tuple[Carry, Carry],
     initial: np.ndarray | None = None,
     dtype: type = float,
+    part_of: PartOf = acting_part,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns ideal sensors' readings (n, channels) at the steps, and tangents (k, n, channels).
 
@@ -194,7 +206,7 @@ def _ideal_tangents(
     series[:1], d_series[:, 0] = start, 0.0 if initial is None else initial
     fixed: PressureHistory | None = None
     if _moves(p.extended, Part.PRESSURES, d_theta).any():
-        moving = acting_part(p.extended, Part.PRESSURES, theta, d_theta)
+        moving = part_of(p.extended, Part.PRESSURES, theta, d_theta)
         chambers = start_chambers(moving.model)
         pressures = chambers, jax.tree.map(lambda x: np.zeros((len(d_theta), *x.shape)), chambers)
     else:
@@ -238,13 +250,14 @@ def _recorded_tangents(
     series: np.ndarray,
     d_series: np.ndarray,
     dtype: type = float,
+    part_of: PartOf = acting_part,
 ) -> np.ndarray:
     """Returns tangents (k, channels, samples) of real sensors' readings from ideal sensors' ones.
 
     `series` (n, channels) are the readings of ideal sensors at the steps; `d_series` (k, n,
     channels) are their tangents. The result has the type `dtype`.
     """
-    sensors = acting_part(p.extended, Part.SENSORS, theta, d_theta)
+    sensors = part_of(p.extended, Part.SENSORS, theta, d_theta)
     t, own = p.grid.h * np.arange(len(series)), d_theta[:, sensors.entries]
     at, readings = padded(t, series)
     found: np.ndarray = np.zeros((len(d_theta), len(p.extended.channels), len(p.at)), dtype)

@@ -1,10 +1,19 @@
 """Tangents of the readings, compared with differences of readings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calibration.model import compiled
-from calibration.model.extended import Part, acting_part, base_values, base_vector, model_parameters
+from calibration.model import compiled, tangents
+from calibration.model.extended import (
+    Part,
+    acting_part,
+    base_values,
+    base_vector,
+    changed_part,
+    model_parameters,
+)
 from calibration.model.plan import Resolution, plan_trial
 from calibration.model.predict import predict_readings
 from calibration.model.tangents import reading_tangents
@@ -71,3 +80,35 @@ def test_long_series_are_computed_in_parts(trial, monkeypatch, sensors):
     parts = reading_tangents(p, theta, unit, np.float32)
     scale = np.abs(whole).max(axis=2, keepdims=True)
     assert parts.dtype == np.float32 and np.all(np.abs(parts - whole) <= 1e-6 * scale)
+
+
+@pytest.mark.slow
+def test_each_of_several_calls_contains_only_the_effects_that_it_changes(trial, monkeypatch):
+    of_body = ("tail_stiffness", "tail_drag", "carried_mass", "linear_friction", "tip_mass")
+    of_body += ("tangential_friction", "internal_friction", "tail_friction")
+    names = (*of_body, "leakage")
+    p = replace(trial[0], extended=replace(trial[0].extended, effects=names))
+    entries = model_parameters(names)
+    theta = np.concatenate([trial[1][:4], [x.prior.null for x in entries[4:]]])
+    unit = np.eye(len(theta))[[i for i, x in enumerate(entries) if not x.is_shape]]
+    whole = reading_tangents(p, theta, unit)
+    contained = []
+
+    def recorded(*arguments):
+        contained.append(changed_part(*arguments))
+        return contained[-1]
+
+    monkeypatch.setattr(compiled, "MOST_DIRECTIONS", 8)
+    monkeypatch.setattr(tangents, "changed_part", recorded)
+    found = reading_tangents(p, theta, unit)
+    bodies = [x.extended.effects for x in contained if "leakage" not in x.extended.effects]
+    assert set().union(*bodies) == set(of_body)
+    assert max(map(len, bodies)) < len(of_body)
+    scale = np.abs(whole).max(axis=2, keepdims=True)
+    assert whole.any(axis=(1, 2)).all()
+    assert np.all(np.abs(found - whole) <= 1e-9 * scale)
+    moved = theta.copy()
+    moved[4] += 0.1 * (entries[4].prior.high - theta[4])
+    contained.clear()
+    reading_tangents(p, moved, unit)
+    assert not contained
