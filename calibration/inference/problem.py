@@ -97,7 +97,10 @@ def normal_equations(
 def trial_equations(
     residuals: dict[tuple[int, str], np.ndarray], J: dict[tuple[int, str], np.ndarray]
 ) -> list[ChannelBlock]:
-    """Returns the sums of `normal_equations` over the channels of each trial; channel is ""."""
+    """Returns one block per trial: the sum of `normal_equations` over its channels.
+
+    The name of the channel is empty.
+    """
     found: dict[int, ChannelBlock] = {}
     for key, r in residuals.items():
         (x,) = normal_equations({key: r}, J)

@@ -140,7 +140,7 @@ class Dictionary:
         """Returns the result at each place from the readings of the selection."""
         used = self.outcome.used_trials
         problem, predicted = self.problem.part(used).during(in_selection), self.start.predicted
-        self.problem.release_whiteners()  # With 50 trials, they need 0.6 GB.
+        self.problem.release_whiteners()  # For 50 trials, they need 0.6 GB.
         theta, free = self.start.theta, self.start.free
         white = problem.whiteners(predicted)
         residuals = problem.residuals(predicted, white)
@@ -150,7 +150,7 @@ class Dictionary:
         refits = Refits(problem, self.entries, white, progress, settings)
         tangents = effect_tangents(problem, self.entries, theta, free, settings)
         J: Tangents = {}
-        for i in range(len(tangents)):  # The tangents also contain all other readings.
+        for i in range(len(tangents)):  # Frees the readings that select no term.
             of_trial = {key: x for key, x in white.items() if key[0] == i}
             J |= problem.whitened(tangents, of_trial)
             tangents[i] = np.empty(0)

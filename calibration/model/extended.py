@@ -235,8 +235,9 @@ def changed_part(
 ) -> PartialModel:
     """Returns the model with the effects of a part that `directions` (k, entries) change.
 
-    All effects are at their null (`is_at_null`). The time of a direction grows with the number of
-    effects in the model, but every set of effects needs a program of its own.
+    Requires that all effects are at their null (`is_at_null`): an omitted effect must not act. The
+    time of a direction grows with the number of effects in the model, but every set of effects
+    needs a program of its own.
     """
     entries = model_parameters(extended.effects)
     acting = {entries[i].effect for i in np.flatnonzero(directions.any(axis=0))}

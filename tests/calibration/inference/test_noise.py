@@ -247,6 +247,16 @@ def test_blocks_whose_gains_differ_little_share_one():
     assert len({id(x) for x in gains}) < 60
 
 
+def test_no_other_block_shares_the_gain_of_a_block_with_other_noise():
+    t, loud = np.arange(40_000) / 500.0, 100
+    white = np.full(len(t), RECOIL.white)
+    white[BLOCK * loud : BLOCK * (loud + 1)] *= 1.0001
+    scale = discrepancy_scale(RECOIL, 2.0 * np.sin(2 * np.pi * 2.2 * t))
+    gains = StationaryWhitener(t, RECOIL._replace(white=white), scale, 2.2)._gains
+    assert sum(x is gains[loud] for x in gains) == 1
+    assert gains[loud - 1] is gains[loud + 1]
+
+
 def test_non_finite_readings_stay_non_finite():
     white = Whitener(T, NOISE, SIGNAL)(np.stack([np.full_like(T, np.nan), T]))
     assert np.isnan(white[0]).any() and np.isfinite(white[1]).all()
