@@ -181,7 +181,7 @@ def _series_error(
     step = np.minimum((late[here] % period / period * count).astype(int), count - 1)
     middle = (np.arange(count) + 0.5) * period / count
     gap = np.abs(middle[:, None] - middle)
-    memory = discrepancy_memory(t, frequency) if frequency else np.inf
+    memory = discrepancy_memory(t, frequency)
     values, vectors = eigh(discrepancy_correlation(gap, frequency if repeats else None, memory))
     curves = float(np.std(model)) * np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     white = whiten(curves[:, step])

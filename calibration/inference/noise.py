@@ -149,8 +149,9 @@ class StationaryWhitener:
     `frequency` [Hz] is given, the model-discretisation discrepancy is correlated between strides.
 
     A Kalman filter whitens the series by blocks of samples. The covariance within a block is exact,
-    and the state `_Modes` links the blocks. Time and memory are proportional to n. Source: Solin,
-    A. and Särkkä, S. (2014), PMLR 33, 904-912, for the state of a periodic correlation.
+    and the state `_Modes` links the blocks. Time is proportional to n. So is the memory, apart from
+    the gains, whose number grows with the logarithm of the duration. Source: Solin, A. and Särkkä,
+    S. (2014), PMLR 33, 904-912, for the state of a periodic correlation.
     """
 
     def __init__(self, t: np.ndarray, noise: Noise, scale: float, frequency: float | None):
@@ -158,7 +159,6 @@ class StationaryWhitener:
         # Without white noise, rounding errors could make the covariance of a block indefinite.
         self._white = np.maximum(variance, 1e-12 * (noise.slow**2 + scale**2))
         self._t, self._noise, self._scale, self._frequency = t, noise, scale, frequency
-        self._memory = discrepancy_memory(t, frequency) if frequency else np.inf
         self._modes = _Modes.of(t, noise, scale, frequency, float(np.median(self._white)))
         self._edges = [*range(0, len(t), _block_length(len(t))), len(t)]
         numbers = range(len(self._edges) - 1)
@@ -211,8 +211,8 @@ class StationaryWhitener:
     def _covariance(self, gap: np.ndarray) -> np.ndarray:
         """Returns the covariance of two readings at times that differ by `gap` [s]."""
         slow = self._noise.slow**2 * np.exp(-gap / self._noise.slow_time)
-        repeats = discrepancy_correlation(gap, self._frequency, self._memory)
-        return slow + self._scale**2 * repeats
+        memory = discrepancy_memory(self._t, self._frequency)
+        return slow + self._scale**2 * discrepancy_correlation(gap, self._frequency, memory)
 
     def _filter(self) -> list["_Gain"]:
         """Returns the gain of every block by the recursion of the state's covariance."""
@@ -225,13 +225,14 @@ class StationaryWhitener:
             if settled is not None and b is self._regular:
                 gains.append(settled)
                 continue
-            own = _Gain.of(state, b.seen)
-            gains.append(own)
-            if b is self._regular:
-                if shared is not None and _change_of_readings(b, state - shared[1]) < ALIKE:
-                    gains[-1] = shared[0]
-                else:
+            information = b.seen.T @ b.seen
+            own = _Gain.of(state, information)
+            if b is not self._regular:
+                gains.append(own)
+            else:
+                if shared is None or _change_of_readings(state - shared[1], information) >= ALIKE:
                     shared = own, state
+                gains.append(shared[0])
             after = own.covariance(b)
             change = float(np.abs(after - state).max())
             settled = gains[-1] if b is self._regular and change < SETTLED else None
@@ -335,7 +336,7 @@ class _Modes(NamedTuple):
             single = [[scale], [1.0 / DISCREPANCY_TIME], [0.0], [0.0], [0.0]]
             return cls(*np.hstack([slow, single]))
         phases = np.arange(PHASES) / PHASES / frequency
-        share = np.fft.rfft(discrepancy_correlation(phases, frequency, np.inf)).real / PHASES
+        share = np.fft.rfft(discrepancy_correlation(phases, frequency)).real / PHASES
         share = np.maximum(share[: MAX_HARMONICS + 1], 0.0)
         share[1:] *= 2.0
         memory = discrepancy_memory(t, frequency)
@@ -410,10 +411,13 @@ class _Gain(NamedTuple):
     """Variance (r, 1) of the state in each direction if the readings are known."""
 
     @classmethod
-    def of(cls, state: np.ndarray, seen: np.ndarray) -> "_Gain":
-        """Returns the gain for a state with the covariance `state` (r, r)."""
+    def of(cls, state: np.ndarray, information: np.ndarray) -> "_Gain":
+        """Returns the gain for a state with the covariance `state` (r, r).
+
+        `information` (r, r) is the block's Fisher information of the state.
+        """
         factor = cholesky(state, lower=True)
-        values, vectors = eigh(factor.T @ (seen.T @ seen) @ factor)
+        values, vectors = eigh(factor.T @ information @ factor)
         size = np.sqrt(1.0 + np.maximum(values, 0.0))[:, None]
         return cls(factor @ vectors, 1.0 / (size * (1.0 + size)), 1.0 / size**2)
 
@@ -425,21 +429,25 @@ class _Gain(NamedTuple):
         return (basis * self.keep.T) @ basis.T + fresh
 
 
-def _change_of_readings(b: _Block, change: np.ndarray) -> float:
-    """Returns the Frobenius norm of the change of the readings' covariance, whitened by `b.root`.
+def _change_of_readings(change: np.ndarray, information: np.ndarray) -> float:
+    """Returns the Frobenius norm of the change of a block's whitened covariance.
 
-    `change` (r, r) is the change of the state's covariance.
+    `change` (r, r) is the change of the state's covariance. `information` (r, r) is the block's
+    Fisher information of the state.
     """
-    product = change @ (b.seen.T @ b.seen)
+    product = change @ information
     return float(np.sqrt(np.maximum(np.sum(product * product.T), 0.0)))
 
 
-def discrepancy_memory(t: np.ndarray, frequency: float) -> float:
+def discrepancy_memory(t: np.ndarray, frequency: float | None) -> float:
     """Returns the time [s] in which the correlation of strides decreases to 1/e.
 
     `t` (n,) [s] are the times of the readings. The time is `DISCREPANCY_STRIDES` strides, or the
-    fraction `DISCREPANCY_SHARE` of the span of the readings if this is longer.
+    fraction `DISCREPANCY_SHARE` of the span of the readings if this is longer. It is infinite
+    without a frequency.
     """
+    if not frequency:
+        return np.inf
     span = float(t[-1] - t[0]) if len(t) else 0.0
     return max(DISCREPANCY_STRIDES / frequency, DISCREPANCY_SHARE * span)
 

@@ -101,15 +101,13 @@ def trial_equations(
 
     The name of the channel is empty.
     """
-    found: dict[int, ChannelBlock] = {}
-    for key, r in residuals.items():
-        (x,) = normal_equations({key: r}, J)
-        before = found.get(x.trial)
-        if before is not None:
-            A, b = summed([before, x])
-            x = ChannelBlock(x.trial, "", A, b, before.c + x.c, before.n + x.n)
-        found[x.trial] = x._replace(channel="")
-    return list(found.values())
+
+    def block(trial: int) -> ChannelBlock:
+        own = normal_equations({key: r for key, r in residuals.items() if key[0] == trial}, J)
+        A, b = summed(own)
+        return ChannelBlock(trial, "", A, b, sum(x.c for x in own), sum(x.n for x in own))
+
+    return [block(trial) for trial in dict.fromkeys(trial for trial, _ in residuals)]
 
 
 def products(J: np.ndarray, r: np.ndarray) -> np.ndarray:

@@ -52,7 +52,7 @@ from slider_jax.effects.library import KNOWN_EFFECTS
 from slider_jax.programs import compiled_once
 from slider_jax.simulation.trial import run_chunks
 
-PartOf = Callable[[ExtendedModel, Part, np.ndarray, np.ndarray], PartialModel]
+PartAlong = Callable[[ExtendedModel, Part, np.ndarray, np.ndarray], PartialModel]
 
 
 @compiled_once
@@ -100,14 +100,14 @@ def reading_tangents(
     found: np.ndarray = np.zeros((len(directions), len(p.extended.channels), len(p.at)), dtype)
     ideal: list[np.ndarray] = []
 
-    def along(d: np.ndarray, part_of: PartOf) -> np.ndarray:
+    def along(d: np.ndarray, part_of: PartAlong) -> np.ndarray:
         body = part_of(p.extended, Part.BODY, theta, d)
         state = _begin_along(body.extended, body.theta, d[:, body.entries], p.numerics)
         series, d_series = _ideal_tangents(p, theta, d, body, state, dtype=dtype, part_of=part_of)
         ideal[:] = [series]
         return _recorded_tangents(p, theta, d, series, d_series, dtype, part_of)
 
-    def along_sensors(d: np.ndarray, part_of: PartOf) -> np.ndarray:
+    def along_sensors(d: np.ndarray, part_of: PartAlong) -> np.ndarray:
         still = np.zeros((len(d), *ideal[0].shape), dtype)
         return _recorded_tangents(p, theta, d, ideal[0], still, dtype, part_of)
 
@@ -190,7 +190,7 @@ def _ideal_tangents(
     state: tuple[Carry, Carry],
     initial: np.ndarray | None = None,
     dtype: type = float,
-    part_of: PartOf = acting_part,
+    part_of: PartAlong = acting_part,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns ideal sensors' readings (n, channels) at the steps, and tangents (k, n, channels).
 
@@ -250,7 +250,7 @@ def _recorded_tangents(
     series: np.ndarray,
     d_series: np.ndarray,
     dtype: type = float,
-    part_of: PartOf = acting_part,
+    part_of: PartAlong = acting_part,
 ) -> np.ndarray:
     """Returns tangents (k, channels, samples) of real sensors' readings from ideal sensors' ones.
 

@@ -54,7 +54,7 @@ def dense_root(t, noise, model, frequency, spans=()):
     lag = np.abs(t[:, None] - t)
     scale = discrepancy_scale(noise, model)
     cov = noise.slow**2 * np.exp(-lag / noise.slow_time)
-    memory = discrepancy_memory(t, frequency) if frequency else np.inf
+    memory = discrepancy_memory(t, frequency)
     cov += scale**2 * discrepancy_correlation(lag, frequency, memory) + noise.tare**2
     for row in (noise.gain * model, *spans):
         cov += np.outer(row, row)
