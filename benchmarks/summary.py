@@ -19,6 +19,7 @@ from unseen_effects import UNSEEN_EFFECTS
 from workshop_effects import WORKSHOP_EFFECTS
 
 from calibration.discrepancy.verdict import INCONCLUSIVE, NOTHING, PARTLY, PROVISIONAL, UNEXPLAINED
+from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.effects.library import LIBRARY
 
 LACKING = {
@@ -111,7 +112,7 @@ def rated_location(case: dict[str, Any]) -> str:
 
     A name without a doubt (a class or a residual above the noise floor) is a wrong name. Otherwise
     the place is right if a named cause, a learned function, or the channel with the largest
-    residual agrees with the true effect.
+    residual agrees with the true effect. A function of the wrong sensor has the wrong place.
     """
     truth = LACKING[case["case"]["kind"]][next(iter(case["case"]["effects"]))]
     causes = named_causes(case)
@@ -124,8 +125,11 @@ def rated_location(case: dict[str, Any]) -> str:
         places = {LIBRARY[n].place() for cause in causes for n in cause}
         return "right place" if places & set(truth.places) else "wrong place"
     if case.get("learned", {}).get("terms"):
-        places = {case["learned"]["place"].split(" (")[0]}
-        return "right place" if places & set(truth.places) else "wrong place"
+        place, _, sensor = case["learned"]["place"].rstrip(")").partition(" (")
+        of_sensor = not sensor or any(
+            sensor in (channel, SLIDER_CHANNELS[channel].kind) for channel in truth.channels
+        )
+        return "right place" if place in truth.places and of_sensor else "wrong place"
     if case["verdict"] not in (PARTLY, UNEXPLAINED):
         return case["verdict"]
     worst = max(case["where"], key=lambda x: x["mean_square_over_noise"], default=None)

@@ -8,7 +8,7 @@ import pytest
 from tests.support.data import ROOT
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
-from summary import f1, is_right, matched_effects, skills  # noqa: E402
+from summary import f1, is_right, matched_effects, rated_location, skills  # noqa: E402
 from tanks import MemoryCache  # noqa: E402
 
 
@@ -44,6 +44,22 @@ def test_f1_is_computed_over_all_cases():
 def test_skill_omits_cases_without_a_residual():
     found = [case(["x"], [["x"]], 3.0, 1.2), case(["x"], [["x"]], 1.05, 1.2)]
     assert skills(found) == [pytest.approx(0.9)]
+
+
+@pytest.mark.parametrize(
+    ("effect", "place", "rating"),
+    [
+        ("shop_tracker", "Instrument (tip)", "right place"),
+        ("shop_tracker", "Instrument (recoil)", "wrong place"),
+        ("shop_multiplexer_ghost", "Instrument (pressure)", "right place"),
+        ("shop_multiplexer_ghost", "Flow", "wrong place"),
+        ("shop_protrusions", "ForceDensity", "right place"),
+    ],
+)
+def test_the_place_of_a_function_includes_its_sensor(effect, place, rating):
+    found = case([effect], []) | {"learned": {"terms": ["a term"], "place": place}}
+    found["case"]["kind"] = "workshop"
+    assert rated_location(found) == rating
 
 
 def test_the_loop_may_change_arrays_of_the_cache():
