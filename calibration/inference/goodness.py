@@ -1,5 +1,6 @@
 """Compares the residual of a fit with the noise floor."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -89,6 +90,20 @@ def channel_errors(
     start, end = rms_errors(problem, before), rms_errors(problem, after)
     floor = noise_floors(problem, after)
     return {c: {"before": start[c], "after": end[c], "floor": floor[c]} for c in end}
+
+
+def excess_removed(errors: Mapping[str, Mapping[str, float]]) -> float | None:
+    """Returns the fraction of the excess error that a model removes.
+
+    The excess error is the rms error above the noise floor. `errors` is the result of
+    `channel_errors`. Squared errors are divided by the squared noise floor and added over the
+    channels. Returns None if no error before is above the noise floor.
+    """
+    before, after = (
+        sum(max((x[key] / x["floor"]) ** 2 - 1.0, 0.0) for x in errors.values())
+        for key in ("before", "after")
+    )
+    return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else None
 
 
 def noise_floors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:

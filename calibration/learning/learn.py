@@ -25,7 +25,7 @@ from calibration.discrepancy.verdict import (
     channels_above_floor,
 )
 from calibration.inference.gauss_newton import Bounds, Fit, fit_gauss_newton
-from calibration.inference.goodness import Excess, channel_errors, tested_excess
+from calibration.inference.goodness import Excess, channel_errors, excess_removed, tested_excess
 from calibration.inference.problem import FAILED, TankProblem, total
 from calibration.inference.uncertainty import widen_by_correlation
 from calibration.learning.dictionary import Dictionary, Progress
@@ -47,7 +47,12 @@ from slider_jax.programs import return_freed_memory
 NOT_CONFIRMED = "other trials do not confirm the selected terms"
 VETOED = "the selected terms increase the error in the held-out trials"
 WORSE = "the selected terms explain the data worse than the added effects"
-CONTRADICTIONS = (NOT_CONFIRMED, VETOED)
+LEAST_REMOVED = 0.2
+"""A function that does not reach the noise floor must remove at least this fraction of the excess
+error in the tested trials. A smaller fraction does not support the function's place. The value
+was chosen after two tanks in which a function at a wrong place removed less than 0.05."""
+TOO_LITTLE = f"the function removes less than {100 * LEAST_REMOVED:.0f} % of the excess error"
+CONTRADICTIONS = (NOT_CONFIRMED, VETOED, TOO_LITTLE)
 """Reasons for which other trials contradict the terms of a place."""
 DOUBT_P = 1e-4
 """Named effects are doubtful if the corrected p-value of a candidate beside them is below this. In
@@ -456,6 +461,11 @@ def _conclude(
     of_rear = [REAR_PARTS[name].name() for name in terms if name in REAR_PARTS]
     fitted = {known.entries[i].effect for i in fit.free}
     terms = [*terms, *(name for name in of_rear if name in fitted)]
-    found.model = LearnedModel(
+    model = LearnedModel(
         known, terms, fit, problem, confirmed, errors, growth, tested, excess, sizes
     )
+    removed = excess_removed(errors)
+    if model.above_floor and removed is not None and removed < LEAST_REMOVED:
+        found.reason = TOO_LITTLE
+        return
+    found.model = model

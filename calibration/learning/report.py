@@ -1,9 +1,7 @@
 """Writes the learned function: a key of report.json, sentences, a figure and a model file."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
-
-import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.report import verdict_sentences
@@ -22,6 +20,7 @@ from calibration.experiment_design.trial_search import (
     next_trial_record,
     trial_text,
 )
+from calibration.inference.goodness import excess_removed
 from calibration.learning.curves import curve_record, learned_curves
 from calibration.learning.learn import Learning
 from calibration.reporting.html import embedded_png
@@ -75,7 +74,7 @@ def learned_record(
         ],
         "curves": [curve_record(x) for x in learned_curves(learning)],
         "errors": {
-            c: {**x, "excess_removed": excess_removed(x)} for c, x in learned.errors.items()
+            c: {**x, "excess_removed": excess_removed({c: x})} for c, x in learned.errors.items()
         },
         "tested_trials": [records[i].trial.file for i in learned.tested],
         "changes": learned.sizes,
@@ -106,17 +105,6 @@ def learned_parts(record: dict[str, Any], channels: ChannelSet) -> dict[str, Any
     """Returns the picture and the table of errors for the report page."""
     errors = learned_errors(record, channels)
     return {"png": embedded_png(learned_figure(record)), "errors": errors}
-
-
-def excess_removed(errors: Mapping[str, float]) -> float | None:
-    """Returns the fraction of the rms error above the noise floor that the function removes.
-
-    Returns None if the error without the function is at the noise floor.
-    """
-    before, after = (
-        np.sqrt(max(errors[key] ** 2 - errors["floor"] ** 2, 0.0)) for key in ("before", "after")
-    )
-    return float(1.0 - after / before) if before > 0.0 else None
 
 
 def learned_text(learning: Learning) -> str:
