@@ -2,7 +2,7 @@
 
     python benchmarks/loop.py null noise situation single single8 double double8 --out DIR
     python benchmarks/loop.py outside fresh blind unseen novel further --out DIR
-    python benchmarks/loop.py common everyday workshop --out DIR
+    python benchmarks/loop.py common everyday workshop field --out DIR
     python benchmarks/loop.py table --out DIR
 
 The benchmark writes one file per tank to DIR. An interrupted run resumes when you repeat the

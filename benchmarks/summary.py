@@ -10,6 +10,7 @@ import numpy as np
 from blind_effects import BLIND_EFFECTS
 from common_effects import COMMON_EFFECTS
 from everyday_effects import EVERYDAY_EFFECTS
+from field_effects import FIELD_EFFECTS
 from fresh_effects import FRESH_EFFECTS
 from further_effects import FURTHER_EFFECTS
 from novel_effects import NOVEL_EFFECTS
@@ -32,6 +33,7 @@ LACKING = {
     "common": COMMON_EFFECTS,
     "everyday": EVERYDAY_EFFECTS,
     "workshop": WORKSHOP_EFFECTS,
+    "field": FIELD_EFFECTS,
 }
 """Effects that the library lacks, by kind of case."""
 SAME_LAW = {
