@@ -457,7 +457,7 @@ def _conclude(
         found.reason = VETOED
         return
     errors = channel_errors(rest, before, after)
-    fit, found.reason = widen_by_correlation(problem, fit), ""
+    fit = widen_by_correlation(problem, fit)
     of_rear = [REAR_PARTS[name].name() for name in terms if name in REAR_PARTS]
     fitted = {known.entries[i].effect for i in fit.free}
     terms = [*terms, *(name for name in of_rear if name in fitted)]
@@ -468,4 +468,4 @@ def _conclude(
     if model.above_floor and removed is not None and removed < LEAST_REMOVED:
         found.reason = TOO_LITTLE
         return
-    found.model = model
+    found.model, found.reason = model, ""
