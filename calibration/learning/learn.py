@@ -51,7 +51,10 @@ LEAST_REMOVED = 0.2
 """A function that does not reach the noise floor must remove at least this fraction of the excess
 error in the tested trials. A smaller fraction does not support the function's place. The value
 was chosen after two tanks in which a function at a wrong place removed less than 0.05."""
-TOO_LITTLE = f"the function removes less than {100 * LEAST_REMOVED:.0f} % of the excess error"
+TOO_LITTLE = (
+    f"the function removes less than {100 * LEAST_REMOVED:.0f} % of the rms error "
+    "above the noise floor"
+)
 CONTRADICTIONS = (NOT_CONFIRMED, VETOED, TOO_LITTLE)
 """Reasons for which other trials contradict the terms of a place."""
 DOUBT_P = 1e-4

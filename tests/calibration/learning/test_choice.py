@@ -119,8 +119,9 @@ def test_the_next_place_is_tried_if_the_other_trials_refuse_the_best(
     assert found.reaches_floor == bool(confirmed)
     if equal is not None:
         assert found.equal_places == equal
-        found.refused = dict.fromkeys(refused, learn.NOT_CONFIRMED)
-        assert found.equal_places == [x for x in equal if x not in refused]
+        for reason in (learn.NOT_CONFIRMED, learn.VETOED, learn.TOO_LITTLE):
+            found.refused = dict.fromkeys(refused, reason)
+            assert found.equal_places == [x for x in equal if x not in refused]
 
 
 def test_without_a_significant_term_nothing_is_estimated(monkeypatch):

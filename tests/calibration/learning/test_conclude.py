@@ -56,7 +56,7 @@ def test_a_function_above_the_noise_floor_has_to_remove_a_fifth_of_the_excess_er
 ):
     found = conclude(monkeypatch, after, mean_square=9.0)
     assert (found.model is not None) == kept
-    too_little = "the function removes less than 20 % of the excess error"
+    too_little = "the function removes less than 20 % of the rms error above the noise floor"
     assert found.reason == ("" if kept else too_little)
 
 
@@ -72,6 +72,14 @@ def test_the_removed_excess_weights_channels_by_their_noise_floors():
     assert excess_removed({"tip": tip}) == 0.0
     both = excess_removed({"p_front": pressure, "tip": tip})
     assert both == pytest.approx(1.0 - np.sqrt(0.5))
+
+
+def test_a_channel_without_noise_has_an_excess_error_too():
+    exact = {"before": 500.0, "after": 100.0, "floor": 0.0}
+    assert excess_removed({"p_front": exact}) == pytest.approx(0.8)
+    assert excess_removed({"p_front": exact, "tip": dict.fromkeys(exact, 0.0)}) == pytest.approx(
+        0.8
+    )
 
 
 def test_no_excess_error_can_be_removed_at_the_noise_floor():
