@@ -24,7 +24,7 @@ from slider_jax.effects import (
     WaterMotion,
     parameter,
 )
-from slider_jax.effects.functions import resonant
+from slider_jax.effects.functions import lagged, resonant
 
 
 class FieldTrappedPocket(Flow):
@@ -215,16 +215,9 @@ class FieldThermalShock(Instrument):
     size: Scalar = parameter(0.0, 0.0, 0.4, "-", WHY)
 
     def read(self, true):
-        ratio = (true.t[1] - true.t[0]) / self.TAU
-        decay, mean = jnp.exp(-ratio), -jnp.expm1(-ratio) / ratio
-        p = jnp.abs(true.pressures).T / self.UNIT
-
-        def step(warmth, rise):
-            warmth = decay * warmth + mean * rise
-            return warmth, warmth
-
-        _, warmth = jax.lax.scan(step, jnp.zeros_like(p[0]), jnp.diff(p, axis=0, prepend=p[:1]))
-        return true._replace(pressures=true.pressures * (1.0 - self.size * warmth.T))
+        p = jnp.abs(true.pressures) / self.UNIT
+        warmth = p - jax.vmap(lagged, (0, None, None))(p, true.t, self.TAU)
+        return true._replace(pressures=true.pressures * (1.0 - self.size * warmth))
 
 
 class FieldOffCentreLoad(Instrument):

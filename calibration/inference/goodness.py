@@ -9,10 +9,6 @@ from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import AbstractProblem
 from calibration.inference.whiteness import SeriesTest, whiteness_tests
 
-SMALLEST_FLOOR = 1e-9
-"""Smallest divisor of a channel's excess error, as a fraction of its rms error. A declared noise
-can be zero."""
-
 
 class Excess(NamedTuple):
     """Mean squares of a channel's whitened residuals, and tests of their whiteness."""
@@ -103,13 +99,10 @@ def excess_removed(errors: Mapping[str, Mapping[str, float]]) -> float | None:
     `channel_errors`. Squared errors are divided by the squared noise floor and added over the
     channels. Returns None if no error before is above the noise floor.
     """
-    parts = []
-    for x in errors.values():
-        unit = max(x["floor"], SMALLEST_FLOOR * x["before"])
-        if unit > 0.0:
-            both = (x[key] ** 2 - x["floor"] ** 2 for key in ("before", "after"))
-            parts.append([max(square, 0.0) / unit**2 for square in both])
-    before, after = np.sum(parts, axis=0) if parts else (0.0, 0.0)
+    before, after = (
+        sum(max((x[key] / x["floor"]) ** 2 - 1.0, 0.0) for x in errors.values())
+        for key in ("before", "after")
+    )
     return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else None
 
 

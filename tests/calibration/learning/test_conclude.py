@@ -9,8 +9,11 @@ from calibration.discrepancy.rounds import Growth
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess, excess_removed
+from calibration.inference.noise import channel_noise
 from calibration.learning import learn
 from calibration.learning.learn import Learning
+from slider_jax.channels import SLIDER_CHANNELS
+from slider_jax.experiment.sensor_tables import SensorsTable
 
 FIT = Fit(np.zeros(1), np.array([0]), 0.0, 100, [], [0.0], True)
 
@@ -43,8 +46,8 @@ def conclude(monkeypatch, after, mean_square):
         chosen=FIT,
         search=SimpleNamespace(settings=DEFAULT_SETTINGS),
     )
-    known = SimpleNamespace(problem=problem, start=FIT, entries=[], outcome=outcome)
-    known.entries = [SimpleNamespace(effect="flow_of_pressure")]
+    entries = [SimpleNamespace(effect="flow_of_pressure")]
+    known = SimpleNamespace(problem=problem, start=FIT, entries=entries, outcome=outcome)
     found = Learning(outcome)
     learn._conclude(found, known, FIT, ["flow_of_pressure"], {}, lambda text: None)
     return found
@@ -75,11 +78,11 @@ def test_the_removed_excess_weights_channels_by_their_noise_floors():
 
 
 def test_a_channel_without_noise_has_an_excess_error_too():
-    exact = {"before": 500.0, "after": 100.0, "floor": 0.0}
+    floor = channel_noise(SensorsTable(), SLIDER_CHANNELS["p_front"], np.zeros(100)).white
+    exact = {"before": 500.0, "after": 100.0, "floor": floor}
+    constant = {"before": 0.0, "after": 0.0, "floor": floor}
     assert excess_removed({"p_front": exact}) == pytest.approx(0.8)
-    assert excess_removed({"p_front": exact, "tip": dict.fromkeys(exact, 0.0)}) == pytest.approx(
-        0.8
-    )
+    assert excess_removed({"p_front": exact, "tip": constant}) == pytest.approx(0.8)
 
 
 def test_no_excess_error_can_be_removed_at_the_noise_floor():
