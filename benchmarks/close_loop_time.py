@@ -105,7 +105,8 @@ def draw_growth(times: dict[str, dict[str, Any]], path: Path) -> None:
                 ax.plot(sum(LONG[name]), times[name][key], marker, label=name)
         ax.set(xlabel="duration of all trials (s)", ylabel=label, xlim=(0, None), ylim=(0, None))
         ax.grid(alpha=0.3)
-    axes[0].legend(fontsize=8)
+    handles = axes[0].get_legend_handles_labels()
+    figure.legend(*handles, loc="outside upper center", ncols=2, fontsize=8)
     save_figure(figure, path)
 
 

@@ -47,7 +47,7 @@ EXPLAINABLE = 1.1
 NAMING = ("sparse", "stepwise", "knockoffs")
 """Other methods that name effects."""
 REMOVED = 0.8
-"""Fraction of the excess rms that a learned function should remove in the held-out trials."""
+"""Fraction of the true error that a learned function should remove in the held-out trials."""
 
 
 def read_cases(out: Path, kind: str) -> list[dict[str, Any]]:
@@ -139,16 +139,16 @@ def rated_location(case: dict[str, Any]) -> str:
     return "right place" if set(channels) & set(truth.channels) else "wrong place"
 
 
-def removed_excess(
+def removed_error(
     case: dict[str, Any], of: str = "before", avoidable: bool = False
 ) -> float | None:
-    """Returns the fraction of the error that a learned function removes, in tested trials.
+    """Returns the fraction of the true error that a learned function removes, in tested trials.
 
-    The error is the rms difference between predicted and true readings. The mean over the channels
-    is weighted by the inverse noise floors. `of` is the model whose error is 1: the model "before"
-    the function, or the calibrated model without any effect, "refit". If `avoidable` is true, the
-    squared error of a calibrated complete model is subtracted from both squared errors. None:
-    nothing was learned, or the result file of an earlier version does not contain this model.
+    The true error is the rms difference between predicted and true readings. The mean over the
+    channels is weighted by the inverse noise floors. `of` is the model whose error is 1: the model
+    "before" the function, or the calibrated model without any effect, "refit". If `avoidable` is
+    true, the squared error of a calibrated complete model is subtracted from both squared errors.
+    None: nothing was learned, or the result file of an earlier version does not contain this model.
     """
     learned = case.get("learned", {})
     before, after, complete = (
@@ -300,20 +300,22 @@ def _outside_table(kind: str, outside: Sequence[dict[str, Any]]) -> str:
     ratings = [rated_location(x) for x in outside]
     lines = [f"{len(ratings)} tanks of the kind {kind}, with effects that the library lacks:"]
     lines += [f"- {x}: {ratings.count(x)}" for x in sorted(set(ratings))]
-    shares = [removed_excess(x) for x in outside]
+    shares = [removed_error(x) for x in outside]
     learned = [x is not None for x in shares]
     lines.append(f"- a function was learned: {_share(learned)}")
     enough = [x is not None and x >= REMOVED for x in shares]
-    lines.append(f"- it removes {REMOVED:.0%} of the excess on held-out trials: {_share(enough)}")
-    whole = [removed_excess(x, "refit") for x in outside]
+    lines.append(
+        f"- it removes {REMOVED:.0%} of the true error in held-out trials: {_share(enough)}"
+    )
+    whole = [removed_error(x, "refit") for x in outside]
     enough = [x is not None and x >= REMOVED for x in whole]
     lines.append(f"- the same, with the corrections beside it: {_share(enough)}")
-    avoidable = [removed_excess(x, avoidable=True) for x in outside]
+    avoidable = [removed_error(x, avoidable=True) for x in outside]
     if any(x is not None for x in avoidable):
         enough = [x is not None and x >= REMOVED for x in avoidable]
         lines.append(f"- the same, without the error of a complete model: {_share(enough)}")
     for rating, share, x in zip(ratings, shares, outside, strict=True):
-        removed = "nothing learned" if share is None else f"{share:.0%} of the excess removed"
+        removed = "nothing learned" if share is None else f"{share:.0%} of the true error removed"
         lines.append(f"{_case_line(x)}: {rating}, {removed}")
     return "\n".join(lines)
 
