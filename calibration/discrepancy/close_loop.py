@@ -91,10 +91,11 @@ class LoopOutcome:
         """Added effects that may only resemble the cause.
 
         If the fit did not converge or the effects are `replaceable`, these are all effects.
-        Otherwise, they are the effects with a status whose `above_floor` contains a channel.
+        Otherwise, they are the effects with a status whose `above_floor` contains a channel or
+        whose `includes_null` is True.
         """
         doubtful = self.replaceable or not self.chosen.converged
-        return [x.name for x in self.statuses if x.above_floor or doubtful]
+        return [x.name for x in self.statuses if x.above_floor or x.includes_null or doubtful]
 
     @property
     def effects(self) -> list[str]:
@@ -105,7 +106,7 @@ class LoopOutcome:
     def statuses(self) -> list[EffectStatus]:
         """Status of each added effect."""
         return judge_effects(
-            self.search, self.final.theta, self.excess, self.problem.all_channels, self.replaceable
+            self.search, self.final, self.excess, self.problem.all_channels, self.replaceable
         )
 
     @property
@@ -393,7 +394,7 @@ def conclude(
     final = shift_by_discrepancy(all_trials, final, along)
     final = widen_by_correlation(all_trials, final)
     after = tested_excess(problem, result.final)
-    statuses = judge_effects(result, final.theta, after, problem.all_channels)
+    statuses = judge_effects(result, final, after, problem.all_channels)
     verdict = reach_verdict(result, statuses, after)
     return LoopOutcome(
         experiment,

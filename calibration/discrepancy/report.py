@@ -89,6 +89,7 @@ def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
                 "status": x.status,
                 "class": x.equivalent,
                 "above_floor": x.above_floor,
+                "includes_null": x.includes_null,
                 "beyond_prior": [_beyond_record(outcome, i) for i in x.beyond],
                 "in_place_of": round_.replaced,
                 "rivals": [
@@ -222,6 +223,8 @@ def _opening(outcome: LoopOutcome) -> list[str]:
         return []
     if outcome.search.vetoed:
         return ["Inconclusive: the held-out trials contradict the selected effect."]
+    if outcome.statuses:
+        return ["Inconclusive: all effects that the loop added may be absent."]
     return ["Inconclusive: a candidate has a significant gain, but fails the cross-validation."]
 
 
@@ -248,6 +251,11 @@ def effect_sentences(outcome: LoopOutcome) -> list[str]:
                 "data better, or as well with fewer terms."
             )
     for x in found:
+        if x.includes_null:
+            text.append(
+                f"The effect {x.name} may be absent: the 95 % interval of its size, with fixed "
+                "shape parameters, includes the null."
+            )
         if x.equivalent:
             others = ", ".join(x.equivalent)
             text.append(f"These data cannot discriminate between {x.name} and {others}.")

@@ -6,9 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.discrepancy.ranges import at_edge
-from calibration.discrepancy.rounds import Selection
+from calibration.discrepancy.rounds import Selection, scoring_entries
 from calibration.discrepancy.settings import SelectionSettings
+from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
+from calibration.inference.uncertainty import includes_null
 from slider_jax.channels import ChannelSet
 
 NOTHING, IDENTIFIED, CLASS = "nothing_missing", "identified", "class"
@@ -30,6 +32,9 @@ class EffectStatus(NamedTuple):
     """Channels above the noise floor that the effect changes or that its own channels depend on."""
     beyond: list[int]
     """Parameters (indices of the entries) with a value outside the declared prior range."""
+    includes_null: bool
+    """Whether the 95 % interval of the effect's size, with fixed shape parameters, includes the
+    null. The effect may then be absent."""
 
 
 def channels_above_floor(after: Mapping[str, Excess], settings: SelectionSettings) -> list[str]:
@@ -50,21 +55,22 @@ def parameters_beyond_prior(search: Selection, theta: np.ndarray, name: str) -> 
 
 def judge_effects(
     search: Selection,
-    theta: np.ndarray,
+    final: Fit,
     after: Mapping[str, Excess],
     channels: ChannelSet,
     replaceable: bool = False,
 ) -> list[EffectStatus]:
     """Returns the status of each added effect.
 
-    `theta` are the parameters of the final model, and `after` are its residual mean squares. An
-    effect is provisional if the residual of a channel that it changes is above the noise floor, if
-    the final fit did not converge, or if the effects are `replaceable` by a learned function. An
-    effect that changes only forces and motion is also provisional if a pressure is above the noise
-    floor, because it may correct what the wrong pressure causes.
+    `final` is the final model, fitted to all trials, and `after` are the residual mean squares of
+    the trials that were not held out. An effect is provisional if the residual of a channel that it
+    changes is above the noise floor, if the 95 % interval of its size includes the null, if the
+    final fit did not converge, or if the effects are `replaceable` by a learned function. An effect
+    that changes only forces and motion is also provisional if a pressure is above the noise floor,
+    because it may correct what the wrong pressure causes.
     """
     left, found = channels_above_floor(after, search.settings), []
-    pressures = channels.pressures
+    pressures, scored = channels.pressures, scoring_entries(search.entries)
     for round_ in search.rounds:
         name = round_.chosen
         if name is None or name not in search.effects:
@@ -73,10 +79,12 @@ def judge_effects(
         changed = [c for c, x in sizes.items() if x > search.discrepancies[c]]
         driven = bool(changed) and not any(c in pressures for c in changed)
         above = [c for c in left if c in changed or (c in pressures and driven)]
-        beyond = parameters_beyond_prior(search, theta, name)
-        doubtful = bool(above) or replaceable or not search.final.converged
+        beyond = parameters_beyond_prior(search, final.theta, name)
+        shapes = [i for i, p in enumerate(search.entries) if p.effect == name and p.is_shape]
+        absent = includes_null(final.with_fixed(shapes), search.entries, scored[name])
+        doubtful = bool(above) or absent or replaceable or not search.final.converged
         status = _status(round_.equivalent, beyond, doubtful)
-        found.append(EffectStatus(name, status, round_.equivalent, above, beyond))
+        found.append(EffectStatus(name, status, round_.equivalent, above, beyond, absent))
     return found
 
 
@@ -93,8 +101,9 @@ def reach_verdict(
 ) -> str:
     """Returns the overall verdict from the statuses of the effects and the final residual.
 
-    If the final fit did not converge, the verdict is partly_explained if the model has added
-    effects and a residual above the noise floor, and otherwise inconclusive.
+    If the final fit did not converge, or if each added effect may be absent, the verdict is
+    partly_explained if the model has added effects and a residual above the noise floor, and
+    otherwise inconclusive.
     """
     left = channels_above_floor(after, search.settings)
     if not search.final.converged:
@@ -106,4 +115,6 @@ def reach_verdict(
         return INCONCLUSIVE if doubtful else NOTHING
     if left:
         return PARTLY
+    if all(x.includes_null for x in statuses):
+        return INCONCLUSIVE
     return CLASS if any(x.status == CLASS for x in statuses) else IDENTIFIED

@@ -88,9 +88,9 @@ class Fit(NamedTuple):
     """Factor (k,) that widens the standard errors of entries with a significant `difference`."""
     correlation: np.ndarray | float = 1.0
     """Factor (k,) that widens the standard errors if the whitened residuals are correlated."""
-    shift: np.ndarray | float = 0.0
-    """Change (k,) of the fitted entries by a discrepancy that repeats in all trials; 0 before
-    `uncertainty.shift_by_discrepancy`."""
+    discrepancy_scores: np.ndarray | None = None
+    """Products (channels, k) of the derivatives of the fitted entries and of a discrepancy that
+    repeats in all trials. None before `uncertainty.shift_by_discrepancy`."""
     linearised_at: np.ndarray | None = None
     """Parameters near `theta` at which the fit computed the derivatives last, or None."""
 
@@ -113,6 +113,30 @@ class Fit(NamedTuple):
         for errors that white noise does not explain.
         """
         return np.sqrt(np.diag(self.covariance)) * np.maximum(self.widening, self.correlation)
+
+    @property
+    def shifts(self) -> np.ndarray:
+        """Returns the changes (channels, k) of the free entries by a discrepancy of all trials.
+
+        There are no rows before `uncertainty.shift_by_discrepancy`.
+        """
+        if self.discrepancy_scores is None:
+            return np.zeros((0, len(self.free)))
+        return self.discrepancy_scores @ inverse(summed(self.blocks)[0])
+
+    def with_fixed(self, indices: Sequence[int]) -> "Fit":
+        """Returns the fit with the entries `indices` fixed at their fitted values."""
+        kept = ~np.isin(self.free, indices)
+        blocks = [x._replace(A=x.A[np.ix_(kept, kept)], b=x.b[kept]) for x in self.blocks]
+        difference, scores = self.difference, self.discrepancy_scores
+        return self._replace(
+            free=self.free[kept],
+            blocks=blocks,
+            difference=None if difference is None else difference[kept],
+            widening=np.broadcast_to(self.widening, kept.shape)[kept],
+            correlation=np.broadcast_to(self.correlation, kept.shape)[kept],
+            discrepancy_scores=None if scores is None else scores[:, kept],
+        )
 
 
 class Bounds(NamedTuple):

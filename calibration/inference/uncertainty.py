@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from calibration.inference.gauss_newton import Fit, inverse, reading_derivatives
 from calibration.inference.intervals import correlation_time
@@ -53,19 +53,37 @@ def confidence_interval(
     """Returns the value of the fitted entry `index`, and both ends of its 95 % interval."""
     place = int(np.flatnonzero(fit.free == index)[0])
     value, p = float(fit.theta[index]), entries[index]
-    shift = float(np.broadcast_to(fit.shift, fit.free.shape)[place])
+    shift = float(np.linalg.norm(fit.shifts[:, place]))
     error = float(np.hypot(fit.errors[place], max(discretisation_share(p) * abs(value), shift)))
     return value, value - 1.96 * error, value + 1.96 * error
 
 
+def includes_null(fit: Fit, entries: Sequence[Parameter], indices: np.ndarray) -> bool:
+    """Returns whether the 95 % region of the fitted entries `indices` includes all their nulls.
+
+    The region of several entries is an ellipsoid. Its covariance contains the errors of the fit and
+    the shifts by a discrepancy of all trials. The result is True if the covariance is not finite,
+    or if no entry was fitted.
+    """
+    places = np.flatnonzero(np.isin(fit.free, indices))
+    factors = np.broadcast_to(np.maximum(fit.widening, fit.correlation), fit.free.shape)
+    covariance = fit.covariance * np.outer(factors, factors) + fit.shifts.T @ fit.shifts
+    covariance = covariance[np.ix_(places, places)]
+    if not (len(places) and np.isfinite(covariance).all()):
+        return True
+    distance = np.array([fit.theta[i] - entries[i].prior.null for i in fit.free[places]])
+    return bool(distance @ inverse(covariance) @ distance < chi2.ppf(0.95, len(places)))
+
+
 def shift_by_discrepancy(problem: AbstractProblem, fit: Fit, along: list[np.ndarray]) -> Fit:
-    """Returns the fit with `shift`, the change by a discrepancy that repeats in all trials.
+    """Returns the fit with `discrepancy_scores`, for a discrepancy that repeats in all trials.
 
     The noise model treats the model-discretisation discrepancy as independent between trials, so
     its influence decreases with the number of trials. An error of a mesh or of a time step is the
-    same in all trials. The shift is the linear response of the parameters to such an error: the
-    difference between the fine and the coarse mesh, scaled to the discrepancy of each channel. The
-    shifts by all channels add in quadrature. `along` are the derivatives of `reading_derivatives`.
+    same in all trials. `Fit.shifts` are the linear responses of the parameters to such an error:
+    the difference between the fine and the coarse mesh, scaled to the discrepancy of each channel.
+    The shifts by all channels add in quadrature. `along` are the derivatives of
+    `reading_derivatives`.
     """
     A, _ = summed(fit.blocks)
     if problem.mesh_ratio <= 1.0 or not np.isfinite(A).all():
@@ -73,18 +91,19 @@ def shift_by_discrepancy(problem: AbstractProblem, fit: Fit, along: list[np.ndar
     coarse = [x[0] for x in problem.coarse([fit.theta])]
     errors = discretisation_errors(problem, fit.predicted, coarse)
     white = problem.whiteners(fit.predicted)
-    J, root = problem.whitened(along, white), inverse(A)
+    J = problem.whitened(along, white)
     change = problem.whitened(
         [(y - x)[None] for y, x in zip(fit.predicted, coarse, strict=True)], white
     )
-    square = np.zeros(len(fit.free))
+    scores = [np.zeros(len(fit.free))]
     for channel, error in errors.items():
         if error < LEAST_ERROR:
             continue
         response = sum(J[key] @ x[0] for key, x in change.items() if key[1] == channel)
         scale = problem.discrepancies[channel] / error * richardson_share(problem)
-        square += (scale * root @ response) ** 2
-    return fit._replace(shift=np.sqrt(square)) if np.isfinite(square).all() else fit
+        scores.append(scale * response)
+    found = fit._replace(discrepancy_scores=np.stack(scores))
+    return found if np.isfinite(found.shifts).all() else fit
 
 
 def hausman_check(
@@ -156,10 +175,10 @@ def widen_by_correlation(problem: AbstractProblem, fit: Fit) -> Fit:
     A, times = summed(fit.blocks)[0], _correlation_times(problem, fit, residuals)
     if not times or not np.isfinite(A).all():
         return fit
-    middle = np.sum([times.get((x.trial, x.channel), 1.0) * x.A for x in fit.blocks], axis=0)
+    more = np.sum([(times.get((x.trial, x.channel), 1.0) - 1.0) * x.A for x in fit.blocks], axis=0)
     root = inverse(A)
-    ratio = np.diag(root @ middle @ root) / np.maximum(np.diag(root), 1e-300)
-    return fit._replace(correlation=np.sqrt(np.maximum(ratio, 1.0)))
+    ratio = np.diag(root @ more @ root) / np.maximum(np.diag(root), 1e-300)
+    return fit._replace(correlation=np.sqrt(1.0 + ratio))
 
 
 def _correlation_times(

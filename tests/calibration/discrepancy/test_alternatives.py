@@ -162,7 +162,7 @@ def test_an_effect_that_explains_more_replaces_another_by_an_exchange():
     assert first.replaced == "carried_mass" and set(found.effects) == set(names[1:])
     np.testing.assert_allclose(found.final.theta, truth, atol=0.02)
     after = goodness.tested_excess(sums, found.final)
-    statuses = judge_effects(found, found.final.theta, after, sums.all_channels)
+    statuses = judge_effects(found, found.final, after, sums.all_channels)
     assert {x.name for x in statuses} == set(found.effects)
     record = next(t for t in first.refitted if t.name == first.chosen)
     # Without the effect, only the sum of the other effect and the base remains.

@@ -22,6 +22,7 @@ from calibration.discrepancy.report import (
 from calibration.discrepancy.rounds import Alternative, Growth, relative_changes
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.goodness import Excess
+from calibration.inference.problem import summed
 from calibration.inference.whiteness import SeriesTest
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, base_values
@@ -121,6 +122,25 @@ def test_an_effect_that_leaves_a_residual_is_a_correction():
     assert "The model lacked" not in record["said"]
     assert "<td>provisional</td>" in page and 'name = "carried_mass"' in model
     assert record["errors"]["thrust"]["after"] < record["errors"]["thrust"]["before"]
+
+
+def test_an_effect_that_a_repeated_discrepancy_can_explain_may_be_absent(monkeypatch):
+    """A discrepancy of all trials that shifts the mass by half its value."""
+    assert conclusion((0.3, 0.0, 0.0, 0.0)).verdict == "identified"
+    monkeypatch.setattr(
+        close_loop,
+        "shift_by_discrepancy",
+        lambda problem, fit, along: fit._replace(
+            discrepancy_scores=0.16 * summed(fit.blocks)[0][fit.free == 4]
+        ),
+    )
+    record, page, model = report(conclusion((0.3, 0.0, 0.0, 0.0)))
+    assert record["verdict"] == "inconclusive"
+    assert statuses(record) == {"carried_mass": "provisional"}
+    assert record["effects"][0]["includes_null"] and not record["effects"][0]["above_floor"]
+    assert record["said"].startswith("Inconclusive: all effects that the loop added may be absent.")
+    assert "As a correction, the loop's model contains" in record["said"]
+    assert "carried_mass may be absent" in page and 'name = "carried_mass"' in model
 
 
 def test_effects_that_a_function_can_replace_are_corrections_at_the_noise_floor():

@@ -9,12 +9,13 @@ from calibration.discrepancy.rounds import Agreement, Growth, Refit, Selection, 
 from calibration.discrepancy.verdict import judge_effects, reach_verdict
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
+from calibration.inference.problem import ChannelBlock
 from calibration.model.extended import base_vector, model_parameters
 from slider_jax.channels import SLIDER_CHANNELS
 
-ENTRIES = model_parameters(("valve_delay", "tank_current"))
+ENTRIES = model_parameters(("valve_delay", "tank_current", "actuator_hysteresis"))
 BASE = {"C_d": 3.0, "m_a": 0.7, "k": 0.09, "K_Q": 4.8e-7}
-DELAY = 4
+DELAY, CURRENT, AMPLITUDE, WIDTH = 4, [5, 6], 7, 8
 ONLY_TIP = MappingProxyType({"tip": 0.1, "thrust": 0.001})
 
 
@@ -26,14 +27,23 @@ def judged(
     widened=None,
     converged=True,
     sizes=ONLY_TIP,
+    current=(0.06, 0.0),
+    error=0.001,
+    correlation=0.0,
 ):
     """Returns the verdict and the statuses of `effects`, which change the channels by `sizes`.
 
     The channels in `left` have a mean square of 4. `widened` is the upper end of the delay's range.
+    All parameters have the standard error `error`. The errors of the two components of the current
+    have a `correlation`, and so have the errors of the hysteresis' amplitude and width.
     """
     theta = base_vector(ENTRIES, BASE)
-    theta[DELAY] = delay
-    fit = Fit(theta, np.arange(4), 1.0, 100, [], [], converged)
+    theta[DELAY], theta[CURRENT], theta[AMPLITUDE] = delay, current, current[0]
+    covariance = error**2 * np.eye(len(ENTRIES))
+    for i, j in (CURRENT, (AMPLITUDE, WIDTH)):
+        covariance[i, j] = covariance[j, i] = correlation * error**2
+    block = ChannelBlock(0, "tip", np.linalg.inv(covariance), np.zeros(len(theta)), 1.0, 100)
+    fit = Fit(theta, np.arange(len(theta)), 1.0, 100, [block], [], converged)
     agreed = Agreement(9.0, 0.01, 0.01, 9.0)
     rounds = [
         SelectionStep([], [Refit(n, fit, 99.0, sizes, agreed, True)], n, list(equivalent))
@@ -46,7 +56,7 @@ def judged(
         search.entries[DELAY] = p._replace(prior=p.prior._replace(high=widened))
         search.declared[DELAY] = p.prior
     after = {c: Excess(np.full(4, 1.0), 4.0 if c in left else 1.0) for c in search.discrepancies}
-    found = judge_effects(search, theta, after, SLIDER_CHANNELS)
+    found = judge_effects(search, fit, after, SLIDER_CHANNELS)
     return reach_verdict(search, found, after), {x.name: x.status for x in found}
 
 
@@ -97,6 +107,35 @@ def test_equivalent_effects_take_precedence_over_the_prior_range():
 def test_two_effects_have_a_status_each():
     found = judged(effects=("valve_delay", "tank_current"), delay=0.09, widened=0.18)
     assert found == ("identified", {"valve_delay": "beyond_prior", "tank_current": "identified"})
+
+
+def test_an_effect_whose_interval_includes_the_null_may_be_absent():
+    assert judged(delay=0.02, error=0.0105) == ("inconclusive", {"valve_delay": "provisional"})
+    assert judged(delay=0.02, error=0.0099) == ("identified", {"valve_delay": "identified"})
+    found = judged(delay=0.02, error=0.0105, equivalent=["tank_current"])
+    assert found == ("inconclusive", {"valve_delay": "provisional"})
+    found = judged(["thrust"], delay=0.02, error=0.0105)
+    assert found == ("partly_explained", {"valve_delay": "provisional"})
+
+
+def test_an_effect_that_may_be_absent_does_not_hide_another():
+    found = judged(effects=("valve_delay", "tank_current"), delay=0.001)
+    assert found == ("identified", {"valve_delay": "provisional", "tank_current": "identified"})
+
+
+def test_the_joint_region_of_several_parameters_decides():
+    """The interval of each parameter includes the null, but the data exclude that both are null."""
+    for values, status in (((0.017, -0.017), "identified"), ((0.017, 0.017), "provisional")):
+        found = judged(effects=["tank_current"], current=values, error=0.01, correlation=0.9)
+        assert found[1] == {"tank_current": status}
+
+
+@pytest.mark.parametrize(("correlation", "status"), [(0.9, "identified"), (0.0, "provisional")])
+def test_an_uncertain_shape_does_not_make_an_effect_absent(correlation, status):
+    """The interval of the amplitude includes the null, but not for any one width."""
+    assert ENTRIES[WIDTH].is_shape and ENTRIES[AMPLITUDE].effect == "actuator_hysteresis"
+    values = {"current": (0.017, 0.0), "error": 0.01, "correlation": correlation}
+    assert judged(effects=["actuator_hysteresis"], **values)[1] == {"actuator_hysteresis": status}
 
 
 def test_a_fit_that_did_not_converge_is_inconclusive():
