@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE, TEMPLATE = ROOT / "docs" / "reference" / "performance.md", "performance.md.j2"
 NAMES = (
     "speed", "speed_avx2", "start_up", "sharing", "population", "space", "close_loop_time",
-    "close_loop_long",
+    "close_loop_time_slow", "close_loop_long",
 )  # fmt: skip
 FIRST_RUN = "first run"
 """Name of the run of `slider close-loop` that also compiles the programs."""
@@ -51,14 +51,17 @@ def table(head: list[str], rows: list[list[Any]]) -> str:
     )
 
 
-def origin_of(record: dict[str, Any]) -> str:
-    """Returns the sentences that state command, commit, date and machine of a record."""
+def origin_of(record: dict[str, Any], what: str) -> str:
+    """Returns the sentences on the command, the commit, the date and the machine of a record.
+
+    `what` names the figures of the record, as a part of the first sentence.
+    """
     machine, load = record["machine"], record["machine"]["load"]
     busy = f", load {load[0]} at the end" if load else ""
     return (
-        f"`{record['command']}` measured the figures of this section at commit {record['commit']} "
-        f"({record['date']}) on {machine['processor']}, {machine['cores']} cores "
-        f"({machine['system']}{busy}). {record['note']}".rstrip()
+        f"`{record['command']}` measured {what} at commit {record['commit']} ({record['date']}) on "
+        f"{machine['processor']}, {machine['cores']} cores ({machine['system']}{busy}). "
+        f"{record['note']}".rstrip()
     )
 
 
@@ -190,6 +193,11 @@ def loop_times(runs: dict[str, dict[str, Any]]) -> str:
     return table(head, [of_loop(TANKS[name], runs[name]) for _, name in tanks])
 
 
+def time_range(runs: dict[str, dict[str, Any]]) -> str:
+    times = [x["wall_s"] for name, x in runs.items() if name != FIRST_RUN]
+    return f"{min(times):.0f} to {max(times):.0f} s"
+
+
 def median_time(runs: dict[str, dict[str, Any]]) -> str:
     return f"{median(x['wall_s'] for name, x in runs.items() if name != FIRST_RUN):.0f} s"
 
@@ -205,13 +213,13 @@ def render(found: dict[str, dict[str, Any]]) -> str:
     """Returns the text of the page, given the records by name."""
     used: set[str] = set()
 
-    def origin(name: str) -> str:
+    def origin(name: str, what: str = "the figures of this section") -> str:
         used.add(name)
-        return origin_of(found[name])
+        return origin_of(found[name], what)
 
     functions = (
         percent, number, growth, costs, other_costs, first_calls, sharing_table, model_of_sharing,
-        rows, loop_times, median_time, long_times,
+        rows, loop_times, median_time, time_range, long_times,
     )  # fmt: skip
     environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True)
     template = environment.from_string((Path(__file__).parent / TEMPLATE).read_text("utf-8"))
