@@ -59,7 +59,8 @@ def read_cases(out: Path, kind: str) -> list[dict[str, Any]]:
 def named_causes(case: dict[str, Any], method: str = "loop") -> list[set[str]]:
     """Returns the named causes, each as a set of equivalent effects.
 
-    The loop names no cause in channels with a residual above the noise floor.
+    The loop names no cause in channels with a residual above the noise floor, and no effect that
+    may be absent.
     """
     if method == "loop":
         return [{e["name"], *e["class"]} for e in case["effects"] if _is_named(case, e)]
@@ -67,7 +68,9 @@ def named_causes(case: dict[str, Any], method: str = "loop") -> list[set[str]]:
 
 
 def _is_named(case: dict[str, Any], effect: dict[str, Any]) -> bool:
-    doubtful = effect["above_floor"] or effect["status"] == PROVISIONAL
+    doubtful = (
+        effect["above_floor"] or effect.get("includes_null") or effect["status"] == PROVISIONAL
+    )
     replaced = case.get("learned", {}).get("replaced_effects", [])
     return case["verdict"] != INCONCLUSIVE and not doubtful and effect["name"] not in replaced
 

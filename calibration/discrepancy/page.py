@@ -28,7 +28,7 @@ STATUS_TEXTS = {
     IDENTIFIED: "the effect is a missing cause",
     CLASS: "the effect or an equivalent effect is a missing cause",
     BEYOND_PRIOR: "a parameter of the effect is outside its prior range",
-    PROVISIONAL: "the effect is a correction and may only resemble the cause",
+    PROVISIONAL: "the effect is a correction: it may be absent or only resemble the cause",
 }
 """Meaning of the statuses of added effects."""
 

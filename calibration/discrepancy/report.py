@@ -221,10 +221,10 @@ def _opening(outcome: LoopOutcome) -> list[str]:
         return [f"{opening} final fit did not converge."]
     if outcome.verdict != INCONCLUSIVE:
         return []
+    if outcome.statuses:
+        return ["Inconclusive: no added effect is certain."]
     if outcome.search.vetoed:
         return ["Inconclusive: the held-out trials contradict the selected effect."]
-    if outcome.statuses:
-        return ["Inconclusive: all effects that the loop added may be absent."]
     return ["Inconclusive: a candidate has a significant gain, but fails the cross-validation."]
 
 
@@ -236,13 +236,15 @@ def effect_sentences(outcome: LoopOutcome) -> list[str]:
     if causes:
         text.append(f"The model lacked: {_titles(causes)}.")
     if corrections:
-        channels = ", ".join(dict.fromkeys(c for x in corrections for c in x.above_floor))
         one = len(corrections) == 1
         as_, these = ("a correction", "The effect") if one else ("corrections", "These effects")
         text.append(f"As {as_}, the loop's model contains: {_titles(corrections)}.")
-        if channels:
+        above = [x for x in corrections if x.above_floor]
+        if above:
+            channels = ", ".join(dict.fromkeys(c for x in above for c in x.above_floor))
+            who = these if above == corrections else " and ".join(x.name for x in above)
             text.append(
-                f"{these} may only resemble the cause, because the residual of {channels} is not "
+                f"{who} may only resemble the cause, because the residual of {channels} is not "
                 "only noise."
             )
         if outcome.replaceable:
@@ -253,8 +255,8 @@ def effect_sentences(outcome: LoopOutcome) -> list[str]:
     for x in found:
         if x.includes_null:
             text.append(
-                f"The effect {x.name} may be absent: the 95 % interval of its size, with fixed "
-                "shape parameters, includes the null."
+                f"The effect {x.name} may be absent: the 95 % interval of its size includes the "
+                "null."
             )
         if x.equivalent:
             others = ", ".join(x.equivalent)

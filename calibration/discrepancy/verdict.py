@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.discrepancy.ranges import at_edge
-from calibration.discrepancy.rounds import Selection, scoring_entries
+from calibration.discrepancy.rounds import Selection, effect_entries, scoring_entries
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
@@ -33,8 +33,8 @@ class EffectStatus(NamedTuple):
     beyond: list[int]
     """Parameters (indices of the entries) with a value outside the declared prior range."""
     includes_null: bool
-    """Whether the 95 % interval of the effect's size, with fixed shape parameters, includes the
-    null. The effect may then be absent."""
+    """Whether the 95 % interval of the effect's size includes the null, with the other effects in
+    the model. The effect may then be absent."""
 
 
 def channels_above_floor(after: Mapping[str, Excess], settings: SelectionSettings) -> list[str]:
@@ -63,14 +63,22 @@ def judge_effects(
     """Returns the status of each added effect.
 
     `final` is the final model, fitted to all trials, and `after` are the residual mean squares of
-    the trials that were not held out. An effect is provisional if the residual of a channel that it
-    changes is above the noise floor, if the 95 % interval of its size includes the null, if the
-    final fit did not converge, or if the effects are `replaceable` by a learned function. An effect
-    that changes only forces and motion is also provisional if a pressure is above the noise floor,
-    because it may correct what the wrong pressure causes.
+    the trials that were not held out. An effect is provisional if one of these conditions is true:
+
+    - the residual of a channel that it changes is above the noise floor,
+    - it changes only forces and motion, and a pressure is above the noise floor, so that it may
+      correct what the wrong pressure causes,
+    - the 95 % interval of its size includes the null,
+    - the final fit did not converge,
+    - the effects are `replaceable` by a learned function.
+
+    The size are the entries of `scoring_entries`. The other parameters of the effect are fixed at
+    their fitted values for this interval, because an uncertain shape does not make an effect
+    absent. An effect outside its prior range is beyond_prior instead of provisional.
     """
     left, found = channels_above_floor(after, search.settings), []
-    pressures, scored = channels.pressures, scoring_entries(search.entries)
+    pressures, groups = channels.pressures, effect_entries(search.entries)
+    scored = scoring_entries(search.entries)
     for round_ in search.rounds:
         name = round_.chosen
         if name is None or name not in search.effects:
@@ -80,8 +88,8 @@ def judge_effects(
         driven = bool(changed) and not any(c in pressures for c in changed)
         above = [c for c in left if c in changed or (c in pressures and driven)]
         beyond = parameters_beyond_prior(search, final.theta, name)
-        shapes = [i for i, p in enumerate(search.entries) if p.effect == name and p.is_shape]
-        absent = includes_null(final.with_fixed(shapes), search.entries, scored[name])
+        rest = [i for i in groups[name] if i not in scored[name]]
+        absent = includes_null(final.with_fixed(rest), search.entries, scored[name])
         doubtful = bool(above) or absent or replaceable or not search.final.converged
         status = _status(round_.equivalent, beyond, doubtful)
         found.append(EffectStatus(name, status, round_.equivalent, above, beyond, absent))
@@ -101,9 +109,9 @@ def reach_verdict(
 ) -> str:
     """Returns the overall verdict from the statuses of the effects and the final residual.
 
-    If the final fit did not converge, or if each added effect may be absent, the verdict is
-    partly_explained if the model has added effects and a residual above the noise floor, and
-    otherwise inconclusive.
+    If the final fit did not converge, the verdict is partly_explained if the model has added
+    effects and a residual above the noise floor, and otherwise inconclusive. If the residual is at
+    the noise floor, but each added effect may be absent, the verdict is also inconclusive.
     """
     left = channels_above_floor(after, search.settings)
     if not search.final.converged:

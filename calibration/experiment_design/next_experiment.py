@@ -2,7 +2,9 @@
 
 After "partly_explained", "unexplained" and "inconclusive", the proposal repeats the trial with the
 largest residual. After "class", the proposed trial discriminates between the effects of the class.
-After all other verdicts, the proposed trial narrows the widest interval of a parameter.
+After all other verdicts, the proposed trial narrows the widest interval of a parameter. If the
+verdict is "inconclusive" because the added effects may be absent, the proposed trial narrows the
+widest interval of their sizes.
 """
 
 from collections.abc import Callable
@@ -11,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
-from calibration.discrepancy.rounds import effect_entries
+from calibration.discrepancy.rounds import effect_entries, scoring_entries
 from calibration.discrepancy.verdict import CLASS, INCONCLUSIVE, PARTLY, UNEXPLAINED
 from calibration.experiment_design.discriminate import discriminating_trial
 from calibration.experiment_design.information import (
@@ -31,7 +33,7 @@ from calibration.experiment_design.trial_search import (
 )
 from calibration.inference.gauss_newton import inverse
 from calibration.inference.problem import TankProblem, summed
-from calibration.inference.uncertainty import discretisation_share
+from calibration.inference.uncertainty import errors_of_discretisation
 from calibration.measurements.records import Record
 from slider_jax.errors import InputError, SolverError
 
@@ -50,13 +52,14 @@ def next_experiment(
 
     `limits` are the trial's limits (default: the widened ranges of the experiment's trials).
     """
-    if outcome.verdict in (PARTLY, UNEXPLAINED, INCONCLUSIVE):
+    uncertain = outcome.verdict == INCONCLUSIVE and outcome.chosen.converged and outcome.statuses
+    if outcome.verdict in (PARTLY, UNEXPLAINED, INCONCLUSIVE) and not uncertain:
         return _again(outcome)
     try:
         within = limits_of(outcome.experiment) if limits is None else limits
         if outcome.verdict == CLASS:
             return _discriminating(outcome, within, effort, progress)
-        return _narrowing(outcome, within, effort, progress)
+        return _narrowing(outcome, within, effort, progress, bool(uncertain))
     except (InputError, SolverError) as error:
         return _none(f"No trial is proposed: {error}")
 
@@ -129,19 +132,27 @@ def _discriminating(
 
 
 def _narrowing(
-    outcome: LoopOutcome, limits: TrialLimits, effort: SearchEffort, progress: Progress
+    outcome: LoopOutcome,
+    limits: TrialLimits,
+    effort: SearchEffort,
+    progress: Progress,
+    only_sizes: bool,
 ) -> dict[str, Any]:
+    """Returns the trial that narrows the widest interval, or the widest interval of a size."""
     final, errors = outcome.final, outcome.final.errors
-    own = [outcome.entries[i] for i in final.free]
-    floor = np.array([discretisation_share(p) for p in own]) * np.abs(final.theta[final.free])
-    widest = int(np.argmax(errors / np.maximum(floor, 1e-300)))
+    floor = errors_of_discretisation(final, outcome.entries)
+    scored = scoring_entries(outcome.entries)
+    sizes = np.concatenate([scored[x.name] for x in outcome.statuses]) if only_sizes else final.free
+    ratio = np.where(np.isin(final.free, sizes), errors / np.maximum(floor, 1e-300), 0.0)
+    widest = int(np.argmax(ratio))
     if errors[widest] <= floor[widest]:
+        intervals = "the intervals of the added effects" if only_sizes else "every interval"
         return _none(
             "No trial is proposed: the model-discretisation discrepancy is the larger part of "
-            "every interval, and more data do not reduce this discrepancy."
+            f"{intervals}, and more data do not reduce this discrepancy."
         )
     f = _prediction(outcome, final.theta, final.free)
-    p, before = own[widest], summed(final.blocks)[0]
+    p, before = outcome.entries[final.free[widest]], summed(final.blocks)[0]
 
     def goal(channels: list[list[ChannelInformation]]) -> float:
         return -float(inverse(before + information(channels[0]))[widest, widest])

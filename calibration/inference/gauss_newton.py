@@ -88,9 +88,9 @@ class Fit(NamedTuple):
     """Factor (k,) that widens the standard errors of entries with a significant `difference`."""
     correlation: np.ndarray | float = 1.0
     """Factor (k,) that widens the standard errors if the whitened residuals are correlated."""
-    discrepancy_scores: np.ndarray | None = None
-    """Products (channels, k) of the derivatives of the fitted entries and of a discrepancy that
-    repeats in all trials. None before `uncertainty.shift_by_discrepancy`."""
+    discrepancy_products: np.ndarray | None = None
+    """Products (channels, k) of a discrepancy that repeats in all trials and the derivatives of the
+    whitened readings by the fitted entries. None before `uncertainty.shift_by_discrepancy`."""
     linearised_at: np.ndarray | None = None
     """Parameters near `theta` at which the fit computed the derivatives last, or None."""
 
@@ -120,22 +120,25 @@ class Fit(NamedTuple):
 
         There are no rows before `uncertainty.shift_by_discrepancy`.
         """
-        if self.discrepancy_scores is None:
+        if self.discrepancy_products is None:
             return np.zeros((0, len(self.free)))
-        return self.discrepancy_scores @ inverse(summed(self.blocks)[0])
+        return self.discrepancy_products @ inverse(summed(self.blocks)[0])
 
     def with_fixed(self, indices: Sequence[int]) -> "Fit":
-        """Returns the fit with the entries `indices` fixed at their fitted values."""
+        """Returns the fit with the entries `indices` fixed at their fitted values.
+
+        `widening` and `correlation` remain those of the fit with all entries.
+        """
         kept = ~np.isin(self.free, indices)
         blocks = [x._replace(A=x.A[np.ix_(kept, kept)], b=x.b[kept]) for x in self.blocks]
-        difference, scores = self.difference, self.discrepancy_scores
+        products = self.discrepancy_products
         return self._replace(
             free=self.free[kept],
             blocks=blocks,
-            difference=None if difference is None else difference[kept],
+            difference=None,
             widening=np.broadcast_to(self.widening, kept.shape)[kept],
             correlation=np.broadcast_to(self.correlation, kept.shape)[kept],
-            discrepancy_scores=None if scores is None else scores[:, kept],
+            discrepancy_products=None if products is None else products[:, kept],
         )
 
 

@@ -47,27 +47,38 @@ def discretisation_share(p: Parameter) -> float:
     return EFFECT_DISCREPANCY if p.effect else BASE_DISCREPANCY[p.name]
 
 
+def errors_of_discretisation(fit: Fit, entries: Sequence[Parameter]) -> np.ndarray:
+    """Returns the standard errors (k,) of the fitted entries by the discretisation of the model.
+
+    These errors are the same in all trials, so more trials do not reduce them. Each is the larger
+    of the `discretisation_share` of the value and the norm of `Fit.shifts`.
+    """
+    shares = np.array([discretisation_share(entries[i]) for i in fit.free])
+    return np.maximum(shares * np.abs(fit.theta[fit.free]), np.linalg.norm(fit.shifts, axis=0))
+
+
 def confidence_interval(
     fit: Fit, entries: Sequence[Parameter], index: int
 ) -> tuple[float, float, float]:
     """Returns the value of the fitted entry `index`, and both ends of its 95 % interval."""
     place = int(np.flatnonzero(fit.free == index)[0])
-    value, p = float(fit.theta[index]), entries[index]
-    shift = float(np.linalg.norm(fit.shifts[:, place]))
-    error = float(np.hypot(fit.errors[place], max(discretisation_share(p) * abs(value), shift)))
+    value = float(fit.theta[index])
+    error = float(np.hypot(fit.errors, errors_of_discretisation(fit, entries))[place])
     return value, value - 1.96 * error, value + 1.96 * error
 
 
 def includes_null(fit: Fit, entries: Sequence[Parameter], indices: np.ndarray) -> bool:
     """Returns whether the 95 % region of the fitted entries `indices` includes all their nulls.
 
-    The region of several entries is an ellipsoid. Its covariance contains the errors of the fit and
-    the shifts by a discrepancy of all trials. The result is True if the covariance is not finite,
-    or if no entry was fitted.
+    The region of a single entry is its `confidence_interval`. The region of several entries is an
+    ellipsoid with the standard errors of these intervals, and with the correlations of the fit and
+    of `Fit.shifts`. The result is True if the covariance is not finite, or if no entry was fitted.
     """
     places = np.flatnonzero(np.isin(fit.free, indices))
     factors = np.broadcast_to(np.maximum(fit.widening, fit.correlation), fit.free.shape)
-    covariance = fit.covariance * np.outer(factors, factors) + fit.shifts.T @ fit.shifts
+    shifted = fit.shifts.T @ fit.shifts
+    more = errors_of_discretisation(fit, entries) ** 2 - np.diag(shifted)
+    covariance = fit.covariance * np.outer(factors, factors) + shifted + np.diag(more)
     covariance = covariance[np.ix_(places, places)]
     if not (len(places) and np.isfinite(covariance).all()):
         return True
@@ -76,7 +87,7 @@ def includes_null(fit: Fit, entries: Sequence[Parameter], indices: np.ndarray) -
 
 
 def shift_by_discrepancy(problem: AbstractProblem, fit: Fit, along: list[np.ndarray]) -> Fit:
-    """Returns the fit with `discrepancy_scores`, for a discrepancy that repeats in all trials.
+    """Returns the fit with `discrepancy_products`, for a discrepancy that repeats in all trials.
 
     The noise model treats the model-discretisation discrepancy as independent between trials, so
     its influence decreases with the number of trials. An error of a mesh or of a time step is the
@@ -95,14 +106,14 @@ def shift_by_discrepancy(problem: AbstractProblem, fit: Fit, along: list[np.ndar
     change = problem.whitened(
         [(y - x)[None] for y, x in zip(fit.predicted, coarse, strict=True)], white
     )
-    scores = [np.zeros(len(fit.free))]
+    products = []
     for channel, error in errors.items():
         if error < LEAST_ERROR:
             continue
         response = sum(J[key] @ x[0] for key, x in change.items() if key[1] == channel)
         scale = problem.discrepancies[channel] / error * richardson_share(problem)
-        scores.append(scale * response)
-    found = fit._replace(discrepancy_scores=np.stack(scores))
+        products.append(scale * response)
+    found = fit._replace(discrepancy_products=np.reshape(products, (len(products), len(fit.free))))
     return found if np.isfinite(found.shifts).all() else fit
 
 

@@ -15,12 +15,14 @@ from calibration.discrepancy.close_loop import conclude
 from calibration.discrepancy.page import loop_page
 from calibration.discrepancy.report import (
     choice_sentence,
+    effect_sentences,
     loop_model_toml,
     loop_record,
     residual_sentence,
 )
 from calibration.discrepancy.rounds import Alternative, Growth, relative_changes
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
+from calibration.discrepancy.verdict import EffectStatus
 from calibration.inference.goodness import Excess
 from calibration.inference.problem import summed
 from calibration.inference.whiteness import SeriesTest
@@ -131,16 +133,36 @@ def test_an_effect_that_a_repeated_discrepancy_can_explain_may_be_absent(monkeyp
         close_loop,
         "shift_by_discrepancy",
         lambda problem, fit, along: fit._replace(
-            discrepancy_scores=0.16 * summed(fit.blocks)[0][fit.free == 4]
+            discrepancy_products=0.16 * summed(fit.blocks)[0][fit.free == 4]
         ),
     )
     record, page, model = report(conclusion((0.3, 0.0, 0.0, 0.0)))
     assert record["verdict"] == "inconclusive"
     assert statuses(record) == {"carried_mass": "provisional"}
     assert record["effects"][0]["includes_null"] and not record["effects"][0]["above_floor"]
-    assert record["said"].startswith("Inconclusive: all effects that the loop added may be absent.")
+    assert record["said"].startswith("Inconclusive: no added effect is certain.")
     assert "As a correction, the loop's model contains" in record["said"]
     assert "carried_mass may be absent" in page and 'name = "carried_mass"' in model
+    outcome = conclusion((0.3, 0.0, 0.0, 0.0))
+    vetoed = replace(outcome.search, vetoed={"tip_mass": Growth(0.2, 0.05)})
+    said = report(replace(outcome, search=vetoed))[0]["said"]
+    assert said.startswith("Inconclusive: no added effect is certain.") and "tip_mass" in said
+
+
+def test_each_correction_has_its_own_reason():
+    """One effect changes a channel above the noise floor, and the other may be absent."""
+    statuses = [
+        EffectStatus("carried_mass", "provisional", [], ["tip"], [], False),
+        EffectStatus("tip_mass", "provisional", [], [], [], True),
+    ]
+    names = [x.name for x in statuses]
+    said = effect_sentences(
+        SimpleNamespace(statuses=statuses, corrections=names, replaceable=False)
+    )
+    assert said[1:] == [
+        "carried_mass may only resemble the cause, because the residual of tip is not only noise.",
+        "The effect tip_mass may be absent: the 95 % interval of its size includes the null.",
+    ]
 
 
 def test_effects_that_a_function_can_replace_are_corrections_at_the_noise_floor():

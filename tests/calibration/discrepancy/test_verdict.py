@@ -30,12 +30,14 @@ def judged(
     current=(0.06, 0.0),
     error=0.001,
     correlation=0.0,
+    fields=MappingProxyType({}),
 ):
     """Returns the verdict and the statuses of `effects`, which change the channels by `sizes`.
 
     The channels in `left` have a mean square of 4. `widened` is the upper end of the delay's range.
     All parameters have the standard error `error`. The errors of the two components of the current
-    have a `correlation`, and so have the errors of the hysteresis' amplitude and width.
+    have a `correlation`, and so have the errors of the hysteresis' amplitude and width. `fields`
+    replace fields of the final fit.
     """
     theta = base_vector(ENTRIES, BASE)
     theta[DELAY], theta[CURRENT], theta[AMPLITUDE] = delay, current, current[0]
@@ -56,7 +58,7 @@ def judged(
         search.entries[DELAY] = p._replace(prior=p.prior._replace(high=widened))
         search.declared[DELAY] = p.prior
     after = {c: Excess(np.full(4, 1.0), 4.0 if c in left else 1.0) for c in search.discrepancies}
-    found = judge_effects(search, fit, after, SLIDER_CHANNELS)
+    found = judge_effects(search, fit._replace(**fields), after, SLIDER_CHANNELS)
     return reach_verdict(search, found, after), {x.name: x.status for x in found}
 
 
@@ -136,6 +138,34 @@ def test_an_uncertain_shape_does_not_make_an_effect_absent(correlation, status):
     assert ENTRIES[WIDTH].is_shape and ENTRIES[AMPLITUDE].effect == "actuator_hysteresis"
     values = {"current": (0.017, 0.0), "error": 0.01, "correlation": correlation}
     assert judged(effects=["actuator_hysteresis"], **values)[1] == {"actuator_hysteresis": status}
+
+
+@pytest.mark.parametrize(
+    ("fields", "status"),
+    [
+        ({}, "identified"),
+        ({"widening": np.where(np.arange(len(ENTRIES)) == AMPLITUDE, 2.0, 1.0)}, "provisional"),
+        ({"correlation": np.where(np.arange(len(ENTRIES)) == AMPLITUDE, 2.0, 1.0)}, "provisional"),
+        ({"widening": np.where(np.arange(len(ENTRIES)) == WIDTH, 2.0, 1.0)}, "identified"),
+        # A discrepancy that shifts the amplitude by 0.02
+        ({"discrepancy_products": 2e4 * np.eye(len(ENTRIES))[[AMPLITUDE]]}, "provisional"),
+        ({"discrepancy_products": 2e4 * np.eye(len(ENTRIES))[[WIDTH]]}, "identified"),
+    ],
+)
+def test_all_errors_of_the_interval_count(fields, status):
+    found = judged(effects=["actuator_hysteresis"], current=(0.003, 0.0), fields=fields)
+    assert found[1] == {"actuator_hysteresis": status}
+
+
+def test_an_effect_without_a_finite_error_may_be_absent():
+    n = len(ENTRIES)
+    block = ChannelBlock(0, "tip", np.full((n, n), np.inf), np.zeros(n), 1.0, 100)
+    assert judged(fields={"blocks": [block]})[1] == {"valve_delay": "provisional"}
+
+
+def test_an_effect_beyond_its_prior_may_be_absent():
+    found = judged(delay=0.09, widened=0.18, error=0.05)
+    assert found == ("inconclusive", {"valve_delay": "beyond_prior"})
 
 
 def test_a_fit_that_did_not_converge_is_inconclusive():

@@ -82,7 +82,7 @@ def outcome(tank, verdict, final, rounds=(), after=None):
     excess = after or {c: Excess(np.ones(2), 1.0) for c in SLIDER_CHANNELS}
     effects = [r.chosen for r in rounds if r.chosen]
     limits = {"tip": 0.005}
-    search = Selection(final, final, effects, list(rounds), discrepancies=limits)
+    search = Selection(final, final, effects, list(rounds), entries=ENTRIES, discrepancies=limits)
     used = {c: {"before": 0.0, "after": 0.0, "floor": 0.0} for c in SLIDER_CHANNELS}
     return LoopOutcome(
         experiment, ENTRIES, verdict, search, final, problem, used, {}, excess, [], []
@@ -260,6 +260,23 @@ def test_after_a_complete_model_the_next_trial_narrows_the_widest_interval(tank)
     assert found["error_after"] < 0.9 * found["error_before"]
     assert found["said"].count(found["parameter"]) == 1
     assert Trial.model_validate(found["trial"]).frequency == found["trial"]["frequency"]
+
+
+@pytest.mark.parametrize("weight", [0.01, 1e6])
+def test_after_an_uncertain_effect_the_next_trial_narrows_its_size(tank, weight):
+    theta = tank[2].copy()
+    theta[MASS] = 0.1
+    final = fitted(tank, theta, np.concatenate([FREE, MASS]), weight)
+    refit = Refit("carried_mass", final, 99.0, {}, Agreement(9.0, 0.01, 0.01, 9.0), True)
+    step = SelectionStep([], [refit], "carried_mass")
+    found = next_experiment(outcome(tank, "inconclusive", final, [step]), effort=FEW)
+    if weight > 1.0:
+        assert found["trial"] is None and "the intervals of the added effects" in found["said"]
+        return
+    assert found["purpose"] == "narrow" and found["parameter"] == "carried_mass.dm"
+    assert found["error_after"] < found["error_before"]
+    wider = final._replace(converged=False)
+    assert next_experiment(outcome(tank, "inconclusive", wider, [step]))["purpose"] == "repeat"
 
 
 def test_no_trial_is_proposed_if_none_would_narrow_an_interval(tank):

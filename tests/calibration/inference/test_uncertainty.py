@@ -5,13 +5,14 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pytest
 
-from calibration.inference.gauss_newton import fit_gauss_newton
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.noise import Noise
-from calibration.inference.problem import AbstractProblem
+from calibration.inference.problem import AbstractProblem, ChannelBlock, summed
 from calibration.inference.uncertainty import (
     EFFECT_DISCREPANCY,
     confidence_interval,
     hausman_check,
+    includes_null,
     shift_by_discrepancy,
     unstable_parameters,
     widen_by_correlation,
@@ -163,3 +164,29 @@ def test_correlated_noise_widens_the_interval_by_its_correlation_time():
         np.testing.assert_allclose(f.errors, error)
         assert parameter_record(f, ENTRIES, 0)["widened_by_correlation"] == f.correlation[0]
     assert "widened_by_correlation" not in parameter_record(white[0], ENTRIES, 0)
+
+
+@pytest.mark.parametrize("null", [0.0, 1.0])
+@pytest.mark.parametrize("distance", [0.006, 0.018, 0.022, 0.03, 0.042])
+def test_a_single_entry_includes_its_null_if_its_interval_does(null, distance):
+    """An error of 0.01, and 2 % of the value for the discretisation."""
+    entries = [Parameter("drag", "a", Prior(null, 0.0, 4.0, "-", ""))]
+    block = ChannelBlock(0, "thrust", np.array([[1e4]]), np.zeros(1), 1.0, 100)
+    fit = Fit(np.array([null + distance]), np.arange(1), 1.0, 100, [block], [], True)
+    _, low, high = confidence_interval(fit, entries, 0)
+    assert includes_null(fit, entries, np.array([0])) == (low < null < high)
+
+
+def test_a_fixed_entry_leaves_the_other_entries():
+    A = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, -1.0], [0.5, -1.0, 2.0]])
+    rows = np.array([[0.1, 0.2, 0.3], [-0.3, 0.4, 0.2]])
+    block, each = ChannelBlock(0, "thrust", A, np.arange(3.0), 1.0, 100), np.array([1.0, 2.0, 3.0])
+    fit = Fit(np.zeros(9), np.array([2, 5, 7]), 1.0, 100, [block], [], True, widening=each)
+    fixed = fit._replace(correlation=each[::-1], discrepancy_products=rows).with_fixed([5, 8])
+    kept = [0, 2]
+    assert fixed.free.tolist() == [2, 7]
+    assert (fixed.widening.tolist(), fixed.correlation.tolist()) == ([1.0, 3.0], [3.0, 1.0])
+    inverse = np.linalg.inv(A[np.ix_(kept, kept)])
+    np.testing.assert_allclose(fixed.shifts, rows[:, kept] @ inverse)
+    np.testing.assert_allclose(fixed.covariance, inverse)
+    np.testing.assert_array_equal(summed(fixed.blocks)[1], [0.0, 2.0])
