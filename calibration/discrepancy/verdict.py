@@ -72,9 +72,9 @@ def judge_effects(
     - the final fit did not converge,
     - the effects are `replaceable` by a learned function.
 
-    The size are the entries of `scoring_entries`. The other parameters of the effect are fixed at
-    their fitted values for this interval, because an uncertain shape does not make an effect
-    absent. An effect outside its prior range is beyond_prior instead of provisional.
+    The size consists of the entries of `scoring_entries`. The other parameters of the effect are
+    fixed at their fitted values for this interval, because an uncertain shape does not make an
+    effect absent. An effect outside its prior range is beyond_prior instead of provisional.
     """
     left, found = channels_above_floor(after, search.settings), []
     pressures, groups = channels.pressures, effect_entries(search.entries)
