@@ -88,14 +88,8 @@ class LoopOutcome:
 
     @property
     def corrections(self) -> list[str]:
-        """Added effects that may only resemble the cause.
-
-        If the fit did not converge or the effects are `replaceable`, these are all effects.
-        Otherwise, they are the effects with a status whose `above_floor` contains a channel or
-        whose `includes_null` is True.
-        """
-        doubtful = self.replaceable or not self.chosen.converged
-        return [x.name for x in self.statuses if x.above_floor or x.includes_null or doubtful]
+        """Added effects that may be absent or only resemble the cause."""
+        return [x.name for x in self.statuses if x.is_correction]
 
     @property
     def effects(self) -> list[str]:

@@ -230,9 +230,9 @@ def _opening(outcome: LoopOutcome) -> list[str]:
 
 def effect_sentences(outcome: LoopOutcome) -> list[str]:
     """Returns the first part of the verdict: which effects are causes, and which corrections."""
-    found, text, doubtful = outcome.statuses, [], outcome.corrections
-    corrections = [x for x in found if x.name in doubtful]
-    causes = [x for x in found if x not in corrections]
+    found, text = outcome.statuses, []
+    corrections = [x for x in found if x.is_correction]
+    causes = [x for x in found if not x.is_correction]
     if causes:
         text.append(f"The model lacked: {_titles(causes)}.")
     if corrections:

@@ -32,6 +32,8 @@ class EffectStatus(NamedTuple):
     """Channels above the noise floor that the effect changes or that its own channels depend on."""
     beyond: list[int]
     """Parameters (indices of the entries) with a value outside the declared prior range."""
+    is_correction: bool
+    """Whether the effect may be absent or only resemble the cause."""
     includes_null: bool
     """Whether the 95 % interval of the effect's size includes the null, with the other effects in
     the model. The effect may then be absent."""
@@ -92,7 +94,7 @@ def judge_effects(
         absent = includes_null(final.with_fixed(rest), search.entries, scored[name])
         doubtful = bool(above) or absent or replaceable or not search.final.converged
         status = _status(round_.equivalent, beyond, doubtful)
-        found.append(EffectStatus(name, status, round_.equivalent, above, beyond, absent))
+        found.append(EffectStatus(name, status, round_.equivalent, above, beyond, doubtful, absent))
     return found
 
 

@@ -106,13 +106,19 @@ class Fit(NamedTuple):
         return self.inflation * inverse(A) if np.isfinite(A).all() else np.full(A.shape, np.inf)
 
     @property
-    def errors(self) -> np.ndarray:
-        """Returns the standard errors (k,) of the free entries.
+    def widened_covariance(self) -> np.ndarray:
+        """Returns the covariance (k, k) of the free entries, with wider standard errors.
 
         The errors are multiplied by the larger of `widening` and `correlation`. Both factors allow
         for errors that white noise does not explain.
         """
-        return np.sqrt(np.diag(self.covariance)) * np.maximum(self.widening, self.correlation)
+        factors = np.broadcast_to(np.maximum(self.widening, self.correlation), self.free.shape)
+        return self.covariance * np.outer(factors, factors)
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Returns the standard errors (k,) of the free entries, from `widened_covariance`."""
+        return np.sqrt(np.diag(self.widened_covariance))
 
     @property
     def shifts(self) -> np.ndarray:

@@ -75,11 +75,10 @@ def includes_null(fit: Fit, entries: Sequence[Parameter], indices: np.ndarray) -
     of `Fit.shifts`. The result is True if the covariance is not finite, or if no entry was fitted.
     """
     places = np.flatnonzero(np.isin(fit.free, indices))
-    factors = np.broadcast_to(np.maximum(fit.widening, fit.correlation), fit.free.shape)
-    shifted = fit.shifts.T @ fit.shifts
+    shifts = fit.shifts
+    shifted = shifts.T @ shifts
     more = errors_of_discretisation(fit, entries) ** 2 - np.diag(shifted)
-    covariance = fit.covariance * np.outer(factors, factors) + shifted + np.diag(more)
-    covariance = covariance[np.ix_(places, places)]
+    covariance = (fit.widened_covariance + shifted + np.diag(more))[np.ix_(places, places)]
     if not (len(places) and np.isfinite(covariance).all()):
         return True
     distance = np.array([fit.theta[i] - entries[i].prior.null for i in fit.free[places]])

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibration.discrepancy.rounds import scoring_entries
-from calibration.inference.uncertainty import EFFECT_DISCREPANCY, correlations
+from calibration.inference.uncertainty import EFFECT_DISCREPANCY
 from calibration.learning.learn import Learning
 from calibration.learning.states import RARE, visited_states
 from slider_jax.effects import Curve
@@ -43,7 +43,7 @@ def learned_curves(learning: Learning) -> list[LearnedCurve]:
     fit, problem = learned.fit, learned.problem
     entries, theta = learned.dictionary.entries, jnp.asarray(fit.theta)
     models = [jax.tree.map(jnp.asarray, p.extended.at(theta)) for p in problem.coarse_plans]
-    covariance = correlations(fit) * np.outer(fit.errors, fit.errors)
+    covariance = fit.widened_covariance
     values = {
         n: {p.name: theta[i] for i, p in enumerate(entries) if p.effect == n}
         for n in (*learned.terms, *learned.fine_parts)

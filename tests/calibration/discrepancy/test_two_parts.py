@@ -152,13 +152,10 @@ def test_an_effect_that_a_repeated_discrepancy_can_explain_may_be_absent(monkeyp
 def test_each_correction_has_its_own_reason():
     """One effect changes a channel above the noise floor, and the other may be absent."""
     statuses = [
-        EffectStatus("carried_mass", "provisional", [], ["tip"], [], False),
-        EffectStatus("tip_mass", "provisional", [], [], [], True),
+        EffectStatus("carried_mass", "provisional", [], ["tip"], [], True, False),
+        EffectStatus("tip_mass", "provisional", [], [], [], True, True),
     ]
-    names = [x.name for x in statuses]
-    said = effect_sentences(
-        SimpleNamespace(statuses=statuses, corrections=names, replaceable=False)
-    )
+    said = effect_sentences(SimpleNamespace(statuses=statuses, replaceable=False))
     assert said[1:] == [
         "carried_mass may only resemble the cause, because the residual of tip is not only noise.",
         "The effect tip_mass may be absent: the 95 % interval of its size includes the null.",
