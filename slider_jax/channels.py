@@ -23,6 +23,11 @@ TIME = "t_s"
 """Column of the sample times, in s."""
 
 
+def zero_at_start(midline: np.ndarray) -> float:
+    """Returns 0. The function has a name, because programs of unnamed functions are not kept."""
+    return 0.0
+
+
 @dataclass(frozen=True)
 class Channel:
     """The signal of one sensor. `observe` returns the true reading from a simulated snapshot."""
@@ -58,7 +63,7 @@ class Channel:
     the noise is estimated from the data."""
     tare: float = 0.0
     """Standard deviation, in `unit`, of an offset that is constant in a trial."""
-    start: Callable[[np.ndarray], float] | None = lambda midline: 0.0
+    start: Callable[[np.ndarray], float] | None = zero_at_start
     """Returns the reading at t = 0 from the midline (2, nodes) [m]; not used for pressures. With
     None, the reading is extrapolated from the next readings."""
 

@@ -174,17 +174,13 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callab
         return None
     dynamic, static = eqx.partition(tuple(arguments), eqx.is_array)
     leaves, structure = jax.tree.flatten(dynamic)
-    name = f"{function.__module__}.{function.__qualname__}"
-    fixed = jax.tree.leaves(static)
-    homes = [x.__module__ for x in fixed if callable(x) and hasattr(x, "__qualname__")]
-    text = _FUNCTION.sub(r"\1>", repr((structure, jax.tree.flatten(static), homes)))
-    # The texts do not tell two such functions or objects apart.
-    if any(x in name + text for x in ("<locals>", "<lambda>", " at 0x")):
+    text = program_text(function, arguments)
+    if text is None:
         return None
     shapes = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves]
     # A loaded program needs the compiled solver, which `is_used` loads.
     solver = block_kernel.library_digest() if block_kernel.is_used() else ""
-    key = json.dumps([name, text, shapes, versions(), _settings(), processor_features(), solver])
+    key = json.dumps([text, shapes, versions(), _settings(), processor_features(), solver])
     path = folders[-1] / hashlib.sha256(key.encode()).hexdigest()
     found = _loaded(path, leaves)
     if found is None:
@@ -211,6 +207,20 @@ def stored_program(function: Callable, arguments: Sequence[Any]) -> tuple[Callab
         return jax.tree.unflatten(out, values)
 
     return call, jax.tree.unflatten(out, first)
+
+
+def program_text(function: Callable, arguments: Sequence[Any]) -> str | None:
+    """Returns a text of `function`, of the structure of `arguments` and of their fixed values.
+
+    Returns None if the text could be that of another program too: it contains an unnamed or nested
+    function, or an object without a text of its own.
+    """
+    dynamic, static = eqx.partition(tuple(arguments), eqx.is_array)
+    fixed = jax.tree.flatten(static)
+    homes = [x.__module__ for x in fixed[0] if callable(x) and hasattr(x, "__qualname__")]
+    name = f"{function.__module__}.{function.__qualname__}"
+    text = _FUNCTION.sub(r"\1>", repr((name, jax.tree.structure(dynamic), fixed, homes)))
+    return None if any(x in text for x in ("<locals>", "<lambda>", " at 0x")) else text
 
 
 def _loaded(path: Path, leaves: Sequence[Any]) -> tuple[Callable, Any, Any] | None:

@@ -7,12 +7,21 @@ from calibration.model import compiled, predict
 from calibration.model.compiled import LONG, in_batches
 from calibration.model.extended import Part, acting_part, base_values, base_vector, model_parameters
 from calibration.model.plan import Resolution, plan_trial
-from calibration.model.predict import predict_each, predict_readings, pressure_histories
+from calibration.model.predict import (
+    advance_block,
+    predict_each,
+    predict_readings,
+    pressure_histories,
+)
 from slider_jax.channels import SLIDER_CHANNELS
 from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.effects.library import LIBRARY
 from slider_jax.experiment import load as experiment
+from slider_jax.experiment.declared_channels import KINDS, WHOLE
+from slider_jax.programs import program_text
 from slider_jax.simulation.trial import SavedSeries
 from tests.support.data import ROOT
+from tests.support.experiments import write_small_experiment
 
 K, AMPLITUDE, SPACING = 0.075, 2e5, 2e-3
 
@@ -28,6 +37,23 @@ def test_the_first_sample_may_be_between_steps(begin):
     p = plan_trial(given, given.trials[0], (), Resolution(11, 40, 5e-3), at)
     front = predict_readings(p, np.array([2.0, 0.5, K, 4.79e-7]))[0]
     np.testing.assert_allclose(front, AMPLITUDE * (1.0 - np.exp(-at / K)), atol=1e-6)
+
+
+def test_the_programs_of_all_effects_and_sensors_can_be_kept(tmp_path):
+    """Otherwise, each later process would trace them again."""
+    tables = "".join(
+        f'[[sensors.channels]]\nkind = "{kind}"\nname = "{kind}"\ncolumns = ["{kind}"]\n'
+        + ("" if kind in WHOLE else "s = 0.2\n")
+        for kind in KINDS
+    )
+    file = write_small_experiment(tmp_path, ("[numerics]", f"{tables}\n[numerics]"))
+    given = experiment.load(file)
+    at = 5e-3 * np.arange(40)
+    p = plan_trial(given, given.trials[0], tuple(LIBRARY), Resolution(11, 40, 5e-3), at)
+    assert len(p.extended.channels) == 5 + len(KINDS)
+    assert program_text(advance_block, (p.extended, p.numerics, p.scheme))
+    model = p.extended.at(base_vector(model_parameters(p.extended.effects), base_values(given)))
+    assert program_text(rollout, (model, SavedSeries(p.extended.channels, shape=True)))
 
 
 @pytest.mark.slow
