@@ -25,10 +25,10 @@ import sys; sys.path.insert(0, {here!r})
 import jax
 jax.config.update("jax_compilation_cache_dir", {cache!r})
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-from slider_jax.programs import kept_once, kept_programs
+from slider_jax.programs import compiled_once, kept_programs
 from cases import model, run
 with kept_programs():  # as in a command
-    jax.block_until_ready(kept_once(run)(model()))
+    jax.block_until_ready(compiled_once(run)(model()))
 print(time.perf_counter() - start)
 """
 

@@ -23,11 +23,11 @@ EXPERIMENT = "docs/experiment.toml"
 FIRST = """
 import sys; sys.path.insert(0, "benchmarks")
 import jax
-from slider_jax.programs import kept_once, kept_programs
+from slider_jax.programs import compiled_once, kept_programs
 from cases import model, run
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 with kept_programs():
-    jax.block_until_ready(kept_once(run)(model()))
+    jax.block_until_ready(compiled_once(run)(model()))
 """
 """One simulation of the benchmark's robot, in a process that keeps programs as commands do."""
 

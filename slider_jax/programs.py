@@ -255,13 +255,11 @@ def _settings() -> list[Any]:
     return [own, os.environ.get("XLA_FLAGS"), [str(x) for x in jax.devices()]]
 
 
-def compiled_once(function, stored: bool = False):
+def compiled_once(function):
     """Returns the compiled `function`; a thread waits while another thread compiles it.
 
-    JAX compiles a program twice if two threads call it for the first time at the same time. If
-    `stored` is true, a context of `kept_programs` loads the program from a file if an earlier
-    process stored it. On two threads, loaded programs for tangents take 1.2 times as long as
-    programs of `jax.jit`, so they are not stored.
+    JAX compiles a program twice if two threads call it for the first time at the same time. Within
+    `kept_programs`, the program is loaded from a file if an earlier process stored it.
     """
     jitted = eqx.filter_jit(function)
     locks: dict[Hashable, Lock] = defaultdict(Lock)
@@ -276,7 +274,7 @@ def compiled_once(function, stored: bool = False):
         with locks[key]:
             if key in ready:
                 return ready[key](*arguments)
-            kept = stored_program(function, arguments) if stored else None
+            kept = stored_program(function, arguments)
             if kept is None:
                 kept = jitted, jitted(*arguments)
                 return_freed_memory()
@@ -284,11 +282,6 @@ def compiled_once(function, stored: bool = False):
         return found
 
     return call
-
-
-def kept_once(function):
-    """Returns `compiled_once` of a function whose programs `kept_programs` keeps in files."""
-    return compiled_once(function, stored=True)
 
 
 def call_signature(arguments: tuple) -> Hashable:

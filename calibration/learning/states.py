@@ -19,7 +19,7 @@ from slider_jax.effects import Chamber, Readings
 from slider_jax.effects.dictionary.flow import FlowOfLaggedDifference
 from slider_jax.effects.functions import RigDrift, Sine
 from slider_jax.effects.library import DICTIONARY
-from slider_jax.programs import kept_once
+from slider_jax.programs import compiled_once
 from slider_jax.simulation.trial import advance_chunk, run_chunks
 
 RARE = 0.005
@@ -81,13 +81,13 @@ def _source(term: Any) -> str:
     return CHAMBERS if term.place() in OF_CHAMBERS else SECTIONS
 
 
-@kept_once
+@compiled_once
 def _states(terms: Mapping[str, Any], x: Readings | Chamber | Section) -> dict[str, jax.Array]:
     """Returns the state of each term (effects by name) at all times of `x`."""
     return {name: term.state(x) for name, term in terms.items()}
 
 
-@kept_once
+@compiled_once
 def _visited_chambers(model: Model, t: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Returns pressures and set pressures [Pa], each (n - 1, chambers), at the times t[1:] [s]."""
     return chamber_history(model, start_chambers(model), t).p, set_pressures(model, t).b1

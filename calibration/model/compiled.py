@@ -56,7 +56,7 @@ def compiled_batch(function):
 
     # A stored program is found by the name of its function.
     batch.__module__, batch.__qualname__ = function.__module__, f"batch of {function.__qualname__}"
-    return compiled_once(batch, stored=True)
+    return compiled_once(batch)
 
 
 def with_tangents(function, arguments, directions):

@@ -21,7 +21,7 @@ from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
-from slider_jax.programs import kept_once
+from slider_jax.programs import compiled_once
 
 POSES = 20
 """Number of midlines saved in the last stride."""
@@ -57,12 +57,12 @@ def saved_quantities(channels: ChannelSet, x: Snapshot) -> dict[str, Array]:
     }
 
 
-@kept_once
+@compiled_once
 def _rest(chunk: BatchRobot, numerics: Numerics) -> Carry:
     return jax.vmap(lambda robot: at_rest(robot.model, numerics))(chunk)
 
 
-@kept_once
+@compiled_once
 def _stride(
     plan: Plan, chunk: BatchRobot, number: Array, carry: Carry
 ) -> tuple[Carry, dict[str, Array]]:

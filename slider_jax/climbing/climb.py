@@ -25,7 +25,7 @@ from slider_jax.experiment.drive import ratios_of
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.prepare import half_period_steps
 from slider_jax.experiment.schema import Trial
-from slider_jax.programs import kept_once
+from slider_jax.programs import compiled_once
 from slider_jax.swimming.free_swim import steady_settings
 from slider_jax.swimming.gait import CAP, LINK, is_driven, stride_frequency, to_climber
 from slider_jax.swimming.performance import names_with_units
@@ -73,7 +73,7 @@ class ClimbRun:
         return stride_frequency(self.trial)
 
 
-@kept_once
+@compiled_once
 def _speeds(phases, base: Model, frequency, link, cap, plan: ClimbPlan):
     def speed(phase):
         model = to_climber(base, frequency, phase, None, link, cap)
@@ -83,12 +83,12 @@ def _speeds(phases, base: Model, frequency, link, cap, plan: ClimbPlan):
     return jax.vmap(speed)(phases)
 
 
-@kept_once
+@compiled_once
 def _more(model: Model, frequency, carry: Carry, plan: ClimbPlan):
     return climb_on(model, frequency, carry, plan.strides, plan)
 
 
-@kept_once
+@compiled_once
 def _amounts(model: Model, frequency, series: ClimbSeries, plan: ClimbPlan):
     return climb_of(model, frequency, series, plan)
 

@@ -22,7 +22,7 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.prepare import PreparedTrial, StepGrid, prepare, sample_series
 from slider_jax.experiment.schema import Trial
-from slider_jax.programs import kept_once
+from slider_jax.programs import compiled_once
 from slider_jax.spatial.step import (
     SpatialCarry,
     SpatialSnapshot,
@@ -88,7 +88,7 @@ class SavedSeries:
         return values
 
 
-@kept_once
+@compiled_once
 def _begin(model: Model, numerics: Numerics) -> tuple[Carry, Array, Array]:
     """Returns the state at rest, its midline (2, nodes) [m] relative to the head, and its frames.
 
@@ -100,7 +100,7 @@ def _begin(model: Model, numerics: Numerics) -> tuple[Carry, Array, Array]:
     return carry, line, jnp.stack(about_b(phi))
 
 
-@kept_once
+@compiled_once
 def advance_chunk(
     model: Model,
     h: jax.Array,
@@ -117,14 +117,14 @@ def advance_chunk(
     return run.saved, run.final
 
 
-@kept_once
+@compiled_once
 def _begin_in_space(model: Model, numerics: Numerics) -> tuple[SpatialCarry, Array, Array]:
     """Does the same as `_begin` in three dimensions."""
     carry = at_rest_in_space(model, numerics)
     return carry, straight_line(carry, grid_of(model.body, numerics).s), carry.frames[-1]
 
 
-@kept_once
+@compiled_once
 def _advance_in_space(
     model: Model,
     h: jax.Array,

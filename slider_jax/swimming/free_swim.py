@@ -15,7 +15,7 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.prepare import half_period_steps
 from slider_jax.experiment.schema import Trial
-from slider_jax.programs import kept_once
+from slider_jax.programs import compiled_once
 from slider_jax.swimming.gait import stride_frequency, to_swimmer
 from slider_jax.swimming.performance import (
     Performance,
@@ -71,15 +71,15 @@ class Swim:
         return float(self.performance.speed) / self.from_rest[-1] - 1.0
 
 
-_steadily = kept_once(steady_stride)
+_steadily = compiled_once(steady_stride)
 
 
-@kept_once
+@compiled_once
 def _some_strides(model: Model, frequency, carry: Carry, search: SteadySettings):
     return simulate_strides(model, frequency, carry, AT_ONCE, search)
 
 
-@kept_once
+@compiled_once
 def _seen(model: Model, frequency, carry: Carry, search: SteadySettings):
     stride = next_stride(model, frequency, carry, search)
     return stride, performance(model, frequency, stride, search)

@@ -16,7 +16,7 @@ from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import continued
 from slider_jax.dynamics.step import Carry, Snapshot
 from slider_jax.effects import total_force
-from slider_jax.programs import kept_once
+from slider_jax.programs import compiled_once
 from slider_jax.swimming.steady_state import (
     SteadySettings,
     find_steady,
@@ -177,7 +177,7 @@ def performance_columns(found: Performance) -> dict[str, Scalar]:
     return names_with_units(vars(found), UNITS)
 
 
-@kept_once
+@compiled_once
 def swim_performance(plan: Plan, chunk: BatchRobot) -> tuple[Performance, Array]:
     """Returns (performance, ok) of the stacked robots of a chunk."""
     search = SteadySettings(

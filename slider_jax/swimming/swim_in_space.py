@@ -17,7 +17,7 @@ from slider_jax.dynamics.model import Model
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
-from slider_jax.programs import kept_once
+from slider_jax.programs import compiled_once
 from slider_jax.spatial.step import SpatialCarry, SpatialSnapshot, at_rest_in_space, spatial_rollout
 from slider_jax.swimming.free_swim import REPEATS, free_swimmer, resisting, steady_settings
 from slider_jax.swimming.gait import stride_frequency
@@ -98,7 +98,7 @@ def attitude_of(tau: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Attitud
     )
 
 
-@kept_once
+@compiled_once
 def _next_stride(
     model: Model, frequency: Array, carry: SpatialCarry, search: SteadySettings
 ) -> tuple[SpatialCarry, SpatialStride]:

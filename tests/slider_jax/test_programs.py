@@ -45,14 +45,10 @@ def files(folder):
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
-def stored_once(function):
-    return compiled_once(function, stored=True)
-
-
 def later_process(x, factor):
     """Returns the result of a new wrapper, which has no program in memory."""
     with kept_programs():
-        return stored_once(scaled)(x, factor)
+        return compiled_once(scaled)(x, factor)
 
 
 def test_a_later_process_loads_the_program_without_tracing(folder):
@@ -69,7 +65,7 @@ def test_a_later_process_loads_the_program_without_tracing(folder):
 def test_each_call_of_a_compiled_or_loaded_program_uses_its_own_arguments(folder):
     for _ in range(2):  # the second program is loaded
         with kept_programs():
-            call = stored_once(scaled)
+            call = compiled_once(scaled)
             for x in (jnp.arange(4.0), jnp.arange(1.0, 5.0), jnp.ones(4)):
                 np.testing.assert_array_equal(call(x, 2.0)["value"], 2.0 * x)
     assert TRACED == [2.0]
@@ -111,7 +107,7 @@ def loaded_by_jax(x, factor):
 def test_a_program_from_the_cache_of_jax_is_not_stored(folder):
     """XLA would store it without its machine code."""
     with kept_programs():
-        found = stored_once(loaded_by_jax)(jnp.arange(4.0), 2.0)
+        found = compiled_once(loaded_by_jax)(jnp.arange(4.0), 2.0)
     np.testing.assert_array_equal(found, 2.0 * np.arange(4.0))
     assert not files(folder)
 
@@ -137,7 +133,7 @@ def test_nothing_is_stored_while_effects_of_other_files_are_loaded(folder, monke
 def test_nothing_is_stored_if_a_source_file_changed_meanwhile(folder, monkeypatch):
     with kept_programs():
         monkeypatch.setattr(programs, "source_digest", lambda: 20 * "f")
-        stored_once(scaled)(jnp.arange(9.0), 2.0)
+        compiled_once(scaled)(jnp.arange(9.0), 2.0)
     assert not files(folder)
 
 
@@ -146,13 +142,13 @@ def test_functions_and_objects_that_texts_do_not_tell_apart_are_not_stored(folde
         return factor * x
 
     with kept_programs():
-        stored_once(nested)(jnp.arange(4.0), 2.0)
-        stored_once(lambda x, _: 2.0 * x)(jnp.arange(4.0), object())
+        compiled_once(nested)(jnp.arange(4.0), 2.0)
+        compiled_once(lambda x, _: 2.0 * x)(jnp.arange(4.0), object())
     assert not files(folder)
 
 
 def test_nothing_is_stored_outside_the_context_or_without_the_cache(folder):
-    stored_once(scaled)(jnp.arange(6.0), 2.0)
+    compiled_once(scaled)(jnp.arange(6.0), 2.0)
     jax.config.update("jax_enable_compilation_cache", False)
     try:
         later_process(jnp.arange(7.0), 2.0)
@@ -180,7 +176,7 @@ def test_freed_memory_is_returned_once_after_each_new_program(monkeypatch):
 
 
 def test_a_program_within_another_program_is_not_stored(folder):
-    double = stored_once(lambda x: 2.0 * x)
+    double = compiled_once(lambda x: 2.0 * x)
     with kept_programs():
         np.testing.assert_array_equal(jax.jit(double)(jnp.arange(4.0)), 2.0 * jnp.arange(4.0))
         assert jax.grad(lambda x: double(x))(1.5) == 2.0
@@ -216,7 +212,7 @@ def test_a_program_of_the_cache_of_jax_is_compiled_again(folder):
 
 def later_cube():
     with kept_programs():
-        np.testing.assert_array_equal(stored_once(cubed)(jnp.ones(3)), 1.625 * np.ones(3))
+        np.testing.assert_array_equal(compiled_once(cubed)(jnp.ones(3)), 1.625 * np.ones(3))
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="needs GNU libc")
