@@ -73,6 +73,15 @@ def refusal_of(path: Path) -> str:
     return str(caught.value)
 
 
+def channel(kind, columns, **keys):
+    """Returns a table [[sensors.channels]] with these keys."""
+    lines = [
+        f"{k} = {x!r}".replace("'", '"')
+        for k, x in ({"kind": kind, "columns": columns} | keys).items()
+    ]
+    return "\n".join(["[[sensors.channels]]", *lines, ""])
+
+
 def write_small_experiment(folder: Path, *changes: tuple[str, str]) -> Path:
     """Writes the small experiment with each (old, new) of `changes` replaced; returns its path."""
     text = SMALL

@@ -21,7 +21,7 @@ from slider_jax.experiment.declared_channels import KINDS, WHOLE
 from slider_jax.programs import program_text
 from slider_jax.simulation.trial import SavedSeries
 from tests.support.data import ROOT
-from tests.support.experiments import write_small_experiment
+from tests.support.experiments import channel, write_small_experiment
 
 K, AMPLITUDE, SPACING = 0.075, 2e5, 2e-3
 
@@ -41,11 +41,8 @@ def test_the_first_sample_may_be_between_steps(begin):
 
 def test_the_programs_of_all_effects_and_sensors_can_be_kept(tmp_path):
     """Otherwise, each later process would trace them again."""
-    tables = "".join(
-        f'[[sensors.channels]]\nkind = "{kind}"\nname = "{kind}"\ncolumns = ["{kind}"]\n'
-        + ("" if kind in WHOLE else "s = 0.2\n")
-        for kind in KINDS
-    )
+    places = {kind: {} if kind in WHOLE else {"s": 0.2} for kind in KINDS}
+    tables = "".join(channel(kind, [kind], name=kind, **s) for kind, s in places.items())
     file = write_small_experiment(tmp_path, ("[numerics]", f"{tables}\n[numerics]"))
     given = experiment.load(file)
     at = 5e-3 * np.arange(40)

@@ -22,7 +22,7 @@ from slider_jax.observables import thrust
 from slider_jax.simulation.trial import simulate_trial
 from slider_jax.swimming.gait import to_climber
 from tests.support.chambers import chamber_history
-from tests.support.experiments import refusal_of, write_small_experiment
+from tests.support.experiments import channel, refusal_of, write_small_experiment
 from tests.support.helpers import arrays, static_state
 
 SPANS = "front_chamber = [0.02, 0.145]\nrear_chamber = [0.155, 0.28]\n"
@@ -400,7 +400,7 @@ def test_an_elastic_tendon_has_its_length_and_stiffness(tmp_path):
 
 @pytest.mark.slow
 def test_a_prescribed_wave_bends_the_body(tmp_path):
-    table = '[[sensors.channels]]\nkind = "curvature"\nname = "k"\ns = 0.15\ncolumns = ["k"]\n'
+    table = channel("curvature", ["k"], name="k", s=0.15)
     bend = ("[numerics]", f"{table}[numerics]")
     changes = *IDLE, bend, ("nodes = 11", "nodes = 51")
     path = with_actuators(tmp_path, shape(WAVE, "[0.0, 0.3]"), *changes)

@@ -6,17 +6,9 @@ from scipy.interpolate import CubicSpline
 
 from slider_jax.experiment.load import load
 from slider_jax.simulation.trial import simulate_trial
-from tests.support.experiments import refusal_of, write_small_experiment
+from tests.support.experiments import channel, refusal_of, write_small_experiment
 
 LENGTH = 0.37
-
-
-def channel(kind, columns, **keys):
-    lines = [
-        f"{k} = {x!r}".replace("'", '"')
-        for k, x in ({"kind": kind, "columns": columns} | keys).items()
-    ]
-    return "\n".join(["[[sensors.channels]]", *lines, ""])
 
 
 def with_channels(folder, channels, *changes):
