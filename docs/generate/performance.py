@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE, TEMPLATE = ROOT / "docs" / "reference" / "performance.md", "performance.md.j2"
 NAMES = (
     "speed", "speed_avx2", "start_up", "sharing", "population", "space", "close_loop_time",
-    "close_loop_time_slow", "close_loop_long",
+    "close_loop_long",
 )  # fmt: skip
 FIRST_RUN = "first run"
 """Name of the run of `slider close-loop` that also compiles the programs."""
@@ -193,11 +193,6 @@ def loop_times(runs: dict[str, dict[str, Any]]) -> str:
     return table(head, [of_loop(TANKS[name], runs[name]) for _, name in tanks])
 
 
-def time_range(runs: dict[str, dict[str, Any]]) -> str:
-    times = [x["wall_s"] for name, x in runs.items() if name != FIRST_RUN]
-    return f"{min(times):.0f} to {max(times):.0f} s"
-
-
 def median_time(runs: dict[str, dict[str, Any]]) -> str:
     return f"{median(x['wall_s'] for name, x in runs.items() if name != FIRST_RUN):.0f} s"
 
@@ -219,7 +214,7 @@ def render(found: dict[str, dict[str, Any]]) -> str:
 
     functions = (
         percent, number, growth, costs, other_costs, first_calls, sharing_table, model_of_sharing,
-        rows, loop_times, median_time, time_range, long_times,
+        rows, loop_times, median_time, long_times,
     )  # fmt: skip
     environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True)
     template = environment.from_string((Path(__file__).parent / TEMPLATE).read_text("utf-8"))
