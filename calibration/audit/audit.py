@@ -151,10 +151,11 @@ def _refusal(
     experiment: Experiment, records: Sequence[Record], findings: Sequence[Finding], least: int
 ) -> str:
     bad = [x for x in findings if x.action == "left out"]
-    missing = sum(x.kind == "missing_file" for x in findings)
+    missing = [x.trial for x in findings if x.kind == "missing_file"]
     text = "; ".join(f"{x.trial}: {x.detail}" for x in bad[:MAX_LISTED])
     more = f"; and {len(bad) - MAX_LISTED} more faults" if len(bad) > MAX_LISTED else ""
-    absent = f"; {missing} files do not exist" if missing else ""
+    rest = f" and {len(missing) - MAX_LISTED} more" if len(missing) > MAX_LISTED else ""
+    absent = f"; no such file: {', '.join(missing[:MAX_LISTED])}{rest}" if missing else ""
     return (
         f"{experiment.folder}: {len(records)} measured trials are usable, but at least {least} are "
         f"needed{'; ' if text else ''}{text}{more}{absent}; repair, repeat or add trials"

@@ -142,7 +142,8 @@ def _numbers(name, header, rows, columns) -> tuple[np.ndarray, list[Finding]]:
         wrong = [cells[j] for j in np.flatnonzero(np.isnan(table[i])) if cells[j]]
         if wrong:
             detail = (
-                f"{len(wrong)} cells of {column} are not finite numbers ({wrong[0][:20]!r}"
+                f"{len(wrong)} of {len(rows)} cells of {column} are not finite numbers "
+                f"({wrong[0][:20]!r}"
                 f"{', ...' if len(wrong) > 1 else ''}) and count as missing"
             )
             findings.append(Finding(name, "bad_cell", column, None, None, detail, "masked"))

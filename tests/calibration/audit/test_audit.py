@@ -165,6 +165,18 @@ def test_bad_rows_and_cells_are_reported_and_the_rest_is_used(tank, name):
     assert np.isfinite(record(found, 2).values[3]).mean() > 0.8
 
 
+def test_the_report_says_how_many_cells_of_a_sensor_are_bad(tank):
+    path = tank / "trial_02.csv"
+    header, *rows = path.read_text().splitlines()
+    at = header.split(",").index("thrust_N")
+    cells = [x.split(",") for x in rows]
+    lost = [",".join([*x[:at], "nan", *x[at + 1 :]]) for x in cells]
+    path.write_text("\n".join([header, *lost]))
+    details = [x.detail for x in audited(tank).findings if x.kind == "bad_cell"]
+    assert len(details) == 1
+    assert f"{len(rows)} of {len(rows)} cells of thrust_N are not finite numbers" in details[0]
+
+
 UNREADABLE = {
     "empty": (b"", "empty"),
     "binary": (bytes(range(256)), "not_text"),
@@ -223,6 +235,13 @@ def test_too_few_trials_are_refused_with_the_reasons(tank):
     text = str(caught.value)
     assert "2 measured trials are usable, but at least 3 are needed" in text
     assert "trial_00.csv: the first line has no column t_s" in text and "\n" not in text
+
+
+def test_the_refusal_names_missing_files(tank):
+    for i in range(6):
+        (tank / f"trial_{i:02d}.csv").unlink()
+    with pytest.raises(InputError, match=r"no such file: trial_00\.csv, .*04\.csv and 1 more;"):
+        audited(tank)
 
 
 # Sensors
